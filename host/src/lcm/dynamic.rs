@@ -7,7 +7,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use trocar_model::{Command, Ports, TAPS};
+use trocar_model::{Command, Ports, TAPS, Type};
 use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
@@ -177,19 +177,26 @@ impl PortSet {
 /// The kind of goal a command gives its component.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Goal {
-    /// Nothing: it only carries words or flags, or nothing at all, as what stops a device does.
+    /// Nothing: it only carries words, choices or flags, or nothing at all, as what stops a device does.
     #[default]
     None,
     /// Numbers, which are right when they are sent.
     Numbers,
     /// A goal of a stream that is renewed all the time, CRTK's `servo_*`.
     Servo,
+    /// A word to CRTK's `state_command`, where [`Goal::with`] has not looked at it yet.
+    State,
 }
+
+/// Words of `state_command` after which a device moves, or follows goals again. The others let it rest.
+const IN_MOTION: [&[u8]; 3] = [b"enable", b"resume", b"home"];
 
 impl Goal {
     pub(super) fn of(command: &Command) -> Goal {
-        let numbers = command.arg.as_ref().is_some_and(|arg| arg.ty.has_numbers());
-        if command.kind.is_read() || !numbers {
+        let Some(arg) = command.arg.as_ref().filter(|_| !command.kind.is_read()) else { return Goal::None };
+        if command.name == "state_command" && matches!(arg.ty, Type::Text { .. }) {
+            Goal::State
+        } else if !arg.ty.has_numbers() {
             Goal::None
         } else if command.name.starts_with("servo_") {
             Goal::Servo
@@ -197,6 +204,18 @@ impl Goal {
             Goal::Numbers
         }
     }
+
+    /// What the goal is with this argument: a word that lets a device rest is none. Real-time.
+    pub(super) fn with(self, arg: &[u8]) -> Goal {
+        if self == Goal::State && !IN_MOTION.contains(&text(arg)) { Goal::None } else { self }
+    }
+}
+
+/// The bytes of a text as it is laid out: its length, then room for the longest one.
+fn text(arg: &[u8]) -> &[u8] {
+    let Some((length, room)) = arg.split_first_chunk() else { return &[] };
+    let length = usize::try_from(u64::from_ne_bytes(*length)).unwrap_or(usize::MAX);
+    room.get(..length).unwrap_or_default()
 }
 
 /// Where an instance keeps its ports.

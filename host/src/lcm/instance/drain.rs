@@ -50,7 +50,7 @@ fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> O
         Goal::None => None,
         _ if said_ns > 0 => Some(said_ns),
         _ if !is_actuator => None,
-        Goal::Numbers => Some(GOAL_NS.max(periods_ns)),
+        Goal::Numbers | Goal::State => Some(GOAL_NS.max(periods_ns)),
         Goal::Servo if periods_ns > 0 => Some(SERVO_NS.max(periods_ns)),
         Goal::Servo => Some(GOAL_NS),
     }
@@ -137,7 +137,9 @@ impl Instance {
                     (_, Some(_)) if head.reply == 0 && !self.is_active() => {
                         turn_away(entered, self.turned_away())
                     }
-                    (_, Some(command)) if self.is_late(inbox, head, command) => turn_away(entered, DEADLINE),
+                    (_, Some(command)) if self.is_late(inbox, head, command, payload) => {
+                        turn_away(entered, DEADLINE)
+                    }
                     (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
                     // Queued for a command that is not in the description any more.
                     (_, None) => inbox.refuse(head, DISABLED),
@@ -151,7 +153,7 @@ impl Instance {
 
     /// Whether a command has waited longer than it says, or than its goal is right. Carrying it out would
     /// move a device by a wish from before a standstill. Real-time.
-    fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32) -> bool {
+    fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32, arg: &[u8]) -> bool {
         if head.kind == ENTRY_DUE {
             return os::now_ns() > head.stamp_ns;
         }
@@ -160,7 +162,7 @@ impl Instance {
             return false;
         }
         let goal = self.described.look(|set| set.goals.get(command as usize).copied().unwrap_or_default());
-        may_wait_ns(goal, inbox.deadline_ns, self.is_actuator(), self.period_ns())
+        may_wait_ns(goal.with(arg), inbox.deadline_ns, self.is_actuator(), self.period_ns())
             .is_some_and(|longest_ns| os::now_ns().saturating_sub(head.stamp_ns) > longest_ns)
     }
 
@@ -342,7 +344,7 @@ mod tests {
 
     #[test]
     fn a_goal_waits_for_an_actuator_100_ms_and_one_of_a_stream_three_periods_unless_its_connection_says() {
-        use Goal::{None as Words, Numbers, Servo};
+        use Goal::{None as Words, Numbers, Servo, State};
         // Goal, deadline of its connection, whether it moves something, period; its longest wait. All in ms.
         for (goal, said, actuator, period, longest) in [
             (Numbers, 0, true, 0, Some(100)),
@@ -357,6 +359,10 @@ mod tests {
             (Numbers, 20, true, 1, Some(20)),
             (Servo, 20, true, 1, Some(20)),
             (Servo, 500, false, 1, Some(500)),
+            // A word that sets it in motion is a goal like any other.
+            (State, 0, true, 1, Some(100)),
+            (State, 20, true, 1, Some(20)),
+            (State, 0, false, 1, None),
             (Numbers, 0, false, 1, None),
             (Servo, 0, false, 1, None),
             // A stop is right however late it comes.

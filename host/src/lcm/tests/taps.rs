@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::{Value, json};
-use trocar_model::{Arg, Queue, StructType, TAPS, decode};
+use trocar_model::{Arg, Queue, StructType, TAPS, Type, decode};
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::mailbox::{EntryHead, Overflow, Push};
 use trocar_rt::os;
@@ -155,11 +155,15 @@ async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
     const GOAL_NS: u64 = 100_000_000;
     const SET: u32 = 2;
     const SERVO: u32 = 3;
+    const STATE: u32 = 4;
     let world = World::new("tap_late");
-    let taker = Arc::new(Taker::<3>::default());
+    let taker = Arc::new(Taker::<7>::default());
     let mut ports = settable();
     let commands = &mut ports.provided[0].commands;
     commands.push(Command { name: "servo_jp".into(), ..commands[SET as usize].clone() });
+    let mut state = Command { name: "state_command".into(), ..commands[SET as usize].clone() };
+    state.arg.as_mut().unwrap().ty = Type::Text { n: 32 };
+    commands.push(state);
     let info = class(ports, Safety::Actuator);
     let told = tap(&info, TAPS[2]);
     world.create_as("arm", info, periodic(50), Arc::new(Moody::default())).await;
@@ -174,28 +178,42 @@ async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
     let now_ns = os::now_ns();
     // A stamp that is still to come: no goal is younger when it is taken, however late this machine is.
     let young_ns = now_ns + 600_000_000_000;
-    for (index, sent_ns, value) in [
-        (SERVO, now_ns - 3 * PERIOD_NS - 1, 1u64),
-        (SET, now_ns - GOAL_NS - 1, 2),
-        (SERVO, young_ns, 3),
-        (SET, young_ns, 4),
+    let number = |n: u64| n.to_ne_bytes().to_vec();
+    let word = |word: &str| {
+        let mut text = number(word.len() as u64);
+        text.extend(word.bytes());
+        text.resize(40, 0);
+        text
+    };
+    for (index, sent_ns, arg) in [
+        (SERVO, now_ns - 3 * PERIOD_NS - 1, number(1)),
+        (SET, now_ns - GOAL_NS - 1, number(2)),
+        // What sets it in motion is a goal, what lets it rest is right however late it comes.
+        (STATE, now_ns - GOAL_NS - 1, word("home")),
+        (SERVO, young_ns, number(3)),
+        (SET, young_ns, number(4)),
+        (STATE, young_ns, word("resume")),
+        (STATE, now_ns - GOAL_NS - 1, word("disable")),
     ] {
         let head = EntryHead { kind: ENTRY_COMMAND, index, reply: 0, stamp_ns: sent_ns };
-        assert_eq!(inbox.mailbox.push(head, &value.to_ne_bytes(), Overflow::Reject), Push::Queued);
+        assert_eq!(inbox.mailbox.push(head, &arg, Overflow::Reject), Push::Queued);
     }
     arm.signal();
-    eventually("all are told", || taker.len() >= 4).await;
+    eventually("all are told", || taker.len() >= 7).await;
     let seen: Vec<_> = taker.all().iter().map(|(bytes, _)| read(&told, bytes)).collect();
     let want = [
-        ("ctl/servo_jp", "DEADLINE", 1),
-        ("ctl/set", "DEADLINE", 2),
-        ("ctl/servo_jp", "EXECUTED", 3),
-        ("ctl/set", "EXECUTED", 4),
+        ("ctl/servo_jp", "DEADLINE", json!(1)),
+        ("ctl/set", "DEADLINE", json!(2)),
+        ("ctl/state_command", "DEADLINE", json!("home")),
+        ("ctl/servo_jp", "EXECUTED", json!(3)),
+        ("ctl/set", "EXECUTED", json!(4)),
+        ("ctl/state_command", "EXECUTED", json!("resume")),
+        ("ctl/state_command", "EXECUTED", json!("disable")),
     ];
     let want: Vec<_> =
-        want.into_iter().map(|(name, came, arg)| (name.to_owned(), json!(came), json!(arg))).collect();
+        want.into_iter().map(|(name, came, arg)| (name.to_owned(), json!(came), arg)).collect();
     assert_eq!(seen, want);
-    assert_eq!(inbox.unexecuted(), 2);
+    assert_eq!(inbox.unexecuted(), 3);
     world.end().await;
 }
 
