@@ -74,6 +74,8 @@ pub struct MailboxStats {
     pub pushed: u64,
     /// Accepted and later dropped: overflow, superseded, or still queued at close.
     pub dropped: u64,
+    /// Of those dropped: a newer one of the same index took their place, as `LatestWins` asks for.
+    pub superseded: u64,
     /// Refused.
     pub rejected: u64,
 }
@@ -113,6 +115,7 @@ struct Clients {
     replaced: AtomicU64,
     gave_way: AtomicU64,
     rejected: AtomicU64,
+    superseded: AtomicU64,
 }
 
 // SAFETY: atomic numbers.
@@ -123,6 +126,7 @@ unsafe impl Plain for Clients {}
 struct Server {
     head: AtomicU64,
     skipped: AtomicU64,
+    superseded: AtomicU64,
 }
 
 // SAFETY: atomic numbers.
@@ -161,9 +165,10 @@ impl Mailbox {
                     replaced: zero(),
                     gave_way: zero(),
                     rejected: zero(),
+                    superseded: zero(),
                 })
             }),
-            theirs: layout.place(|| Padded(Server { head: zero(), skipped: zero() })),
+            theirs: layout.place(|| Padded(Server { head: zero(), skipped: zero(), superseded: zero() })),
             scope: layout.scope(),
             handled: TryCell::new(AlignedBuf::new(stride)),
         }
@@ -179,7 +184,12 @@ impl Mailbox {
         };
         match pushed {
             Push::Queued => {}
-            Push::DroppedOldest(_) => count(&self.ours.0.gave_way),
+            Push::DroppedOldest(_) => {
+                count(&self.ours.0.gave_way);
+                if overflow == Overflow::LatestWins {
+                    count(&self.ours.0.superseded);
+                }
+            }
             Push::Full | Push::TooLong | Push::Closed => count(&self.ours.0.rejected),
         }
         pushed
@@ -289,6 +299,7 @@ impl Mailbox {
                 self.release(at);
                 if superseded {
                     count(&self.theirs.0.skipped);
+                    count(&self.theirs.0.superseded);
                     skip(head);
                 } else {
                     handled += 1;
@@ -314,6 +325,7 @@ impl Mailbox {
             self.release(at);
             if superseded {
                 count(&self.theirs.0.skipped);
+                count(&self.theirs.0.superseded);
                 skip(head);
             } else {
                 refuse(head);
@@ -402,6 +414,10 @@ impl Mailbox {
             dropped: told(
                 (self.ours.0.gave_way.load(Ordering::Relaxed))
                     .wrapping_add(self.theirs.0.skipped.load(Ordering::Relaxed)),
+            ),
+            superseded: told(
+                (self.ours.0.superseded.load(Ordering::Relaxed))
+                    .wrapping_add(self.theirs.0.superseded.load(Ordering::Relaxed)),
             ),
             rejected: told(self.ours.0.rejected.load(Ordering::Relaxed)),
         }

@@ -66,7 +66,7 @@ fn only_the_newest_of_an_index_runs_and_the_order_of_the_others_is_kept() {
     let _ = push(&mail, 1, 2, Overflow::Reject);
     let _ = push(&mail, 0, 3, Overflow::LatestWins);
     assert_eq!(drain(&mail), (vec![2, 3], vec![1]));
-    assert_eq!(mail.stats().dropped, 1);
+    assert_eq!((mail.stats().dropped, mail.stats().superseded), (1, 1));
 }
 
 #[test]
@@ -77,6 +77,7 @@ fn the_latest_wins_also_when_the_mailbox_is_full_of_its_own_kind() {
         assert_eq!(push(&mail, 0, n, Overflow::LatestWins), Push::DroppedOldest(head(0, n - 3)));
     }
     assert_eq!(drain(&mail), (vec![9], vec![7, 8]));
+    assert_eq!((mail.stats().dropped, mail.stats().superseded), (8, 8));
 }
 
 #[test]
@@ -87,7 +88,7 @@ fn the_latest_wins_over_the_last_entry_behind_others_that_stay() {
     assert_eq!(push(&mail, 0, 3, Overflow::LatestWins), Push::DroppedOldest(head(0, 2)));
     assert_eq!(drain(&mail), (vec![1, 3], vec![]));
     let stats = mail.stats();
-    assert_eq!((stats.pushed, stats.dropped), (3, 1));
+    assert_eq!((stats.pushed, stats.dropped, stats.superseded), (3, 1, 1));
 }
 
 #[test]
@@ -168,6 +169,7 @@ fn closing_hands_every_queued_head_back_and_refuses_what_comes_later() {
     assert!(mail.is_empty());
     let stats = mail.stats();
     assert_eq!((stats.pushed, stats.dropped, stats.rejected, stats.queued), (3, 3, 1, 0));
+    assert_eq!(stats.superseded, 0, "what is queued when it is closed is lost");
 }
 
 #[test]

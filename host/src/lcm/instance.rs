@@ -200,8 +200,8 @@ impl Counters {
     /// A queue with these losses goes away; they still count.
     pub(super) fn keep_losses(&self, inbox: &Inbox) {
         let stats = inbox.mailbox.stats();
-        self.lost_before[usize::from(inbox.events)]
-            .fetch_add(stats.rejected + stats.dropped, Ordering::Relaxed);
+        let lost = stats.rejected + stats.dropped.saturating_sub(stats.superseded);
+        self.lost_before[usize::from(inbox.events)].fetch_add(lost, Ordering::Relaxed);
     }
 
     /// So many never ran and are thrown out with their queue, which goes away.

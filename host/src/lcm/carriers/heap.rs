@@ -154,7 +154,9 @@ impl Joined for OnHeap {
             Ends::Interface { commands_in, events_in, .. } => {
                 let (c, e) = (commands_in.mailbox.stats(), events_in.mailbox.stats());
                 detail.passed = c.pushed + e.pushed;
-                detail.dropped = c.dropped + c.rejected + e.dropped + e.rejected;
+                // Goals of which a newer one came before they were looked at.
+                detail.skipped = c.superseded;
+                detail.dropped = c.dropped.saturating_sub(c.superseded) + c.rejected + e.dropped + e.rejected;
                 detail.rejected = c.rejected + e.rejected;
                 detail.depth = c.depth;
                 detail.high_water = c.high_water.max(e.high_water);

@@ -85,7 +85,7 @@ impl Instance {
         let mut lost = self.counters.lost_before();
         for inbox in self.inboxes.enter().iter() {
             let s = inbox.mailbox.stats();
-            lost[usize::from(inbox.events)] += s.rejected + s.dropped;
+            lost[usize::from(inbox.events)] += s.rejected + s.dropped.saturating_sub(s.superseded);
         }
         lost
     }

@@ -125,6 +125,8 @@ pub fn the_latest_wins_where_the_command_says_so(way: &Way) {
     assert_eq!(answer.count(Outcome::Queued), 20, "{answer:?}");
     lab.await_count("server", "writes", |n| n > 0);
     assert_eq!(lab.row("server")["seen"], serde_json::json!([20.0]));
+    let (dropped, skipped) = lab.links().iter().fold((0, 0), |(d, s), l| (d + l.dropped, s + l.skipped));
+    assert_eq!((dropped, skipped), (0, 19), "a goal that a newer one superseded is no loss");
 }
 
 pub fn a_call_that_was_not_begun_by_its_deadline_never_runs(way: &Way) {

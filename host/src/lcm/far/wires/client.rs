@@ -247,7 +247,8 @@ impl ClientWires {
                 let (c, e) = (server.commands.stats(), events_in.mailbox.stats());
                 LinkDetail {
                     passed: c.pushed + e.pushed,
-                    dropped: c.dropped + c.rejected + e.dropped + e.rejected,
+                    skipped: c.superseded,
+                    dropped: c.dropped.saturating_sub(c.superseded) + c.rejected + e.dropped + e.rejected,
                     rejected: c.rejected + e.rejected,
                     depth: c.depth,
                     high_water: c.high_water.max(e.high_water),
