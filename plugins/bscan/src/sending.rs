@@ -3,6 +3,7 @@
 //! Invariant: an image goes out whole or not at all, with the time of its newest A-scan, and not again before another one came: so
 //! nobody takes one of an OCT that is silent for news. Their numbers have no gap.
 
+use trocar_sdk::RateLimit;
 use trocar_sdk::data::{ImageHeader, PixelFormat};
 use trocar_sdk::prelude::*;
 
@@ -12,7 +13,7 @@ pub(crate) const SLOTS: u32 = 6;
 /// Grey images at a rate of their own.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sending {
-    next: Stamp,
+    pace: RateLimit,
     index: u64,
     /// Time of the newest A-scan, 0 without any, and that of the last image.
     newest: Stamp,
@@ -42,9 +43,13 @@ impl Sending {
 
     /// Is the next image due? It is with news alone, and not again before `rate_hz` says so.
     pub(crate) fn is_due(&mut self, now: Stamp, rate_hz: f64) -> bool {
-        let due = self.has_news() && now >= self.next;
+        let pace = RateLimit::new(rate_hz);
+        if pace.gap_ns() != self.pace.gap_ns() {
+            self.pace = pace;
+        }
+        let due = self.has_news() && self.pace.is_due(now.ns());
         if due {
-            self.next = Stamp::from_ns(now.ns() + (1e9 / rate_hz) as u64);
+            self.pace.keep(now.ns());
         }
         due
     }
@@ -77,5 +82,24 @@ impl Sending {
         self.index += 1;
         self.sent = stamp;
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_come_at_the_rate_that_is_asked_for_also_where_it_is_no_part_of_the_cycles() {
+        for rate_hz in [15.0, 30.0, 300.0, 700.0] {
+            let mut sending = Sending::default();
+            let due = (1..=2000_u64).filter(|ms| {
+                let now = Stamp::from_ns(ms * 1_000_000);
+                sending.saw(now);
+                sending.is_due(now, rate_hz)
+            });
+            let due = due.count() as f64;
+            assert!((due - 2.0 * rate_hz).abs() <= 1.0, "{due} in 2 s at {rate_hz} Hz");
+        }
     }
 }

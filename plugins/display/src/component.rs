@@ -2,6 +2,7 @@
 //!
 //! Invariant: frames + gaps is what the source sent since the first frame shown; showing never changes what is counted.
 
+use trocar_sdk::RateLimit;
 use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
@@ -153,8 +154,8 @@ impl Display {
         let thread = format!("{} mjpeg", self.own_name());
         let (encoder, giver) =
             Encoder::start(&thread, stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality, self.clock())?;
-        let (given, kept) = (Stamp::INVALID, Allowance::default());
-        self.viewing.browser = Some(Browser { place, _encoder: encoder, giver, stream, given, kept });
+        let (pace, kept) = (RateLimit::UNLIMITED, Allowance::default());
+        self.viewing.browser = Some(Browser { place, _encoder: encoder, giver, stream, pace, kept });
         self.tell_serving();
         Ok(())
     }

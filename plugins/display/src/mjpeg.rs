@@ -10,11 +10,12 @@ use std::time::{Duration, Instant};
 
 use trocar_imaging::pixels::{Part, rgb};
 use trocar_imaging::side;
-use trocar_sdk::{Host, Result};
+use trocar_sdk::{Host, RateLimit, Result};
 
 use crate::freshness::{Freshness, Stale};
 use crate::handoff::{Giver, Taker, pair};
 use crate::mark;
+use crate::viewing::paced;
 
 /// How often the encoder looks for a frame while somebody looks at its pictures.
 const LOOKS: Duration = Duration::from_millis(2);
@@ -207,12 +208,14 @@ impl Drop for Encoder {
     }
 }
 
-/// Which frame a part shows, and since when.
+/// Which frame a part shows, and which it may show next.
 #[derive(Clone, Copy, Default)]
 struct Made {
     /// Counts frames from 1; 0 = none.
     frame: u64,
-    at: Option<Instant>,
+    /// The newest frame that the pace was asked about.
+    asked: u64,
+    pace: RateLimit,
     /// Its mark, where it is stale.
     mark: Option<u64>,
 }
@@ -221,9 +224,11 @@ fn encode(stream: &Stream, mut taker: Taker, quality: u8, clock: &Clock) {
     let mut pixels = Vec::new();
     let mut frame = 0;
     let mut made = [Made::default(); 3];
+    let began = Instant::now();
     while !stream.is_closed() {
         frame += u64::from(taker.renew());
-        let wait_s = 0.99 / f64::from_bits(stream.most_hz.load(Ordering::Relaxed));
+        let most_hz = f64::from_bits(stream.most_hz.load(Ordering::Relaxed));
+        let now_ns = u64::try_from(began.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let stale = clock.stale().filter(|_| frame > 0);
         let mark = stale.map(Stale::turn);
         for (part, made) in Part::ALL.into_iter().zip(&mut made) {
@@ -236,12 +241,16 @@ fn encode(stream: &Stream, mut taker: Taker, quality: u8, clock: &Clock) {
             }
             // Without a mark it is shown again only as a newer frame.
             let other = made.frame != frame || (mark.is_some() && made.mark != mark);
-            let due = made.at.is_none_or(|at| at.elapsed().as_secs_f64() >= wait_s);
+            let pace = paced(&mut made.pace, most_hz);
+            // A frame that came too early is shown later, unless another one came by then.
+            let due = (made.asked != frame && pace.is_due(now_ns)) || now_ns >= pace.due_ns();
+            made.asked = frame;
             let turned = made.mark.is_some() != mark.is_some();
             if !other || !(due || turned) {
                 continue;
             }
-            *made = Made { frame, at: Some(Instant::now()), mark };
+            made.pace.keep(now_ns);
+            (made.frame, made.mark) = (frame, mark);
             let shown = taker.newest();
             // The giver gives whole frames only.
             let Ok((width, height)) = rgb(&shown.header, shown.bytes(), part, &mut pixels) else { continue };

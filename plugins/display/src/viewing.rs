@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use trocar_sdk::RateLimit;
 use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;
 
@@ -48,14 +49,24 @@ impl Viewing {
         let Some(browser) = &mut self.browser else { return };
         browser.stream.limit(mjpeg_hz);
         // What is marked as stale is not left so.
-        let due =
-            was_stale || !browser.given.is_valid() || now.seconds_since(browser.given) * mjpeg_hz >= 0.99;
+        let due = paced(&mut browser.pace, mjpeg_hz).is_due(now.ns()) || was_stale;
         let wanted = due && browser.stream.viewers() > 0;
         if wanted || browser.kept.takes(bytes.len(), now) {
             let given = browser.giver.give(header, bytes);
-            browser.given = if given && wanted { now } else { browser.given };
+            if given && wanted {
+                browser.pace.keep(now.ns());
+            }
         }
     }
+}
+
+/// The limit, at that rate from now on, Hz.
+pub(crate) fn paced(pace: &mut RateLimit, rate_hz: f64) -> &mut RateLimit {
+    let wanted = RateLimit::new(rate_hz);
+    if wanted.gap_ns() != pace.gap_ns() {
+        *pace = wanted;
+    }
+    pace
 }
 
 /// How many bytes may be copied for nobody in particular.
@@ -83,7 +94,29 @@ pub(crate) struct Browser {
     pub(crate) _encoder: Encoder,
     pub(crate) giver: Giver,
     pub(crate) stream: Arc<Stream>,
-    /// When a frame was given last because somebody looks.
-    pub(crate) given: Stamp,
+    /// Of the frames that are given because somebody looks.
+    pub(crate) pace: RateLimit,
     pub(crate) kept: Allowance,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_frames_are_shown_as_are_asked_for_also_of_a_source_that_is_hardly_faster() {
+        let mut pace = RateLimit::UNLIMITED;
+        let mut shown = |rate_hz: f64, second: u64| {
+            let frames = (0..30).map(|n| second * 1_000_000_000 + n * 33_333_333);
+            let given = frames.filter(|now| {
+                let due = paced(&mut pace, rate_hz).is_due(*now);
+                if due {
+                    pace.keep(*now);
+                }
+                due
+            });
+            given.count()
+        };
+        assert_eq!([shown(20.0, 1), shown(25.0, 2), shown(60.0, 3), shown(15.0, 4)], [20, 25, 30, 15]);
+    }
 }
