@@ -54,10 +54,13 @@ static trocar_status step(void *self, const trocar_tick *tick, trocar_err *err) 
     component *c = self;
     trocar_sample view = {.struct_size = sizeof view};
     (void)err;
-    const double a = 1.0 - exp(-2.0 * 3.14159265358979323846 * c->cutoff_hz * (double)tick->period_ns * 1e-9);
     /* Each sample once, also those of a moment in which this was late: the manifest asks for a "fifo". */
     while (c->raw->next(c->raw->ctx, &view) == TROCAR_IN_SAMPLE) {
         const trocar_scalar *x = view.header;
+        /* By the samples' own times: a source may be slower than this component. */
+        const int has_times = c->latest.stamp != 0 && x->stamp > c->latest.stamp;
+        const double dt_s = (double)(has_times ? x->stamp - c->latest.stamp : tick->period_ns) * 1e-9;
+        const double a = 1.0 - exp(-2.0 * 3.14159265358979323846 * c->cutoff_hz * dt_s);
         c->latest.stamp = x->stamp;
         c->latest.value += a * (x->value - c->latest.value);
         c->filtered->write(c->filtered->ctx, &c->latest, view.stamp_ns);

@@ -52,8 +52,12 @@ impl Component for {{Name}} {
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
-        let a = 1.0 - (-TAU * self.settings.cutoff_hz * tick.period_s()).exp();
         while let Some(raw) = self.raw.next() {
+            // By the samples' own times: a source may be slower than this component.
+            let apart_s = raw.stamp.seconds_since(self.latest.stamp);
+            let has_times = self.latest.stamp.is_valid() && apart_s > 0.0;
+            let dt_s = if has_times { apart_s } else { tick.period_s() };
+            let a = 1.0 - (-TAU * self.settings.cutoff_hz * dt_s).exp();
             self.latest.stamp = raw.stamp;
             self.latest.value += a * (raw.value - self.latest.value);
             self.filtered.write(&self.latest);
