@@ -101,7 +101,7 @@ pub fn system_schema() -> Value {
                 "properties": {
                     "//": { "description": "A comment." },
                     "class": { "type": "string", "description": "plugin/class, or the class alone where it is unique." },
-                    "config": { "type": "object", "description": "Configuration; what is left out takes the class's default. Relative paths in it are relative to this file, too." },
+                    "config": { "type": "object", "description": "Configuration; what is left out takes the class's default. Relative paths in it are relative to this file, too, by `trocar run` and `up`; `apply` leaves them to the hosts that run." },
                     "execution": { "$ref": "#/$defs/execution" },
                     "start": { "type": "boolean", "default": true, "description": "Start it with the system." },
                     "resume": { "enum": resumes, "default": "manual", "description": "When its process was started again: what moves something waits for Resume, or with auto goes on by itself. For `trocar up`." },

@@ -11,12 +11,19 @@ pub(crate) fn from_value(value: Wire) -> Value {
         None | Some(Kind::NullValue(_)) => Value::Null,
         Some(Kind::BoolValue(b)) => Value::Bool(b),
         Some(Kind::NumberValue(n)) if n.fract() == 0.0 && n.abs() < EXACT => Value::from(n as i64),
-        Some(Kind::NumberValue(n)) => {
-            Number::from_f64(n).map_or_else(|| Value::String(n.to_string()), Value::Number)
-        }
+        Some(Kind::NumberValue(n)) => Number::from_f64(n).map_or_else(|| special(n).into(), Value::Number),
         Some(Kind::StringValue(s)) => Value::String(s),
         Some(Kind::StructValue(s)) => from_struct(s),
         Some(Kind::ListValue(l)) => Value::Array(l.values.into_iter().map(from_value).collect()),
+    }
+}
+
+/// What is no number of JSON, in the words of a value's texts, whoever wrote it.
+fn special(n: f64) -> &'static str {
+    match n {
+        f64::INFINITY => "Infinity",
+        f64::NEG_INFINITY => "-Infinity",
+        _ => "NaN",
     }
 }
 
@@ -54,4 +61,18 @@ pub(crate) fn duration_ns(duration: &Duration) -> Option<u64> {
 
 pub(crate) fn duration(ns: u64) -> Duration {
     Duration { seconds: (ns / 1_000_000_000) as i64, nanos: (ns % 1_000_000_000) as i32 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_that_json_has_not_is_said_as_people_write_it() {
+        let said = [f64::INFINITY, f64::NEG_INFINITY, f64::NAN, 1.5]
+            .map(|n| from_value(Wire { kind: Some(Kind::NumberValue(n)) }));
+        let written = ["Infinity", "-Infinity", "NaN"].map(Value::from);
+        assert_eq!(said[..3], written);
+        assert_eq!(said[3], Value::from(1.5));
+    }
 }
