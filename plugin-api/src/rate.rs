@@ -36,6 +36,15 @@ impl RateLimit {
         RateLimit { gap_ns, due_ns: 0, last_ns: 0 }
     }
 
+    /// This limit at that rate from now on, Hz, as in [`RateLimit::new`]; another rate begins a new grid.
+    pub fn at(&mut self, rate_hz: f64) -> &mut RateLimit {
+        let wanted = RateLimit::new(rate_hz);
+        if wanted.gap_ns != self.gap_ns {
+            *self = wanted;
+        }
+        self
+    }
+
     /// Whether a sample of this time is to be kept; asked for each.
     #[must_use]
     pub fn is_due(&mut self, now_ns: u64) -> bool {
@@ -149,5 +158,25 @@ mod tests {
             assert_eq!(kept(RateLimit::new(rate), (0..1000).map(|i| i * 3)).0, 1000);
         }
         assert_eq!(RateLimit::new(0.0), RateLimit::UNLIMITED);
+    }
+
+    #[test]
+    fn another_rate_holds_at_once_and_the_same_one_keeps_its_grid() {
+        let mut limit = RateLimit::UNLIMITED;
+        let mut kept = |rate_hz: f64, second: u64| {
+            let stamps = (0..30).map(|n| second * 1_000_000_000 + n * 33_333_333);
+            let kept = stamps.filter(|now_ns| {
+                let due = limit.at(rate_hz).is_due(*now_ns);
+                if due {
+                    limit.keep(*now_ns);
+                }
+                due
+            });
+            kept.count()
+        };
+        assert_eq!(
+            [kept(20.0, 1), kept(25.0, 2), kept(60.0, 3), kept(15.0, 4), kept(0.0, 5)],
+            [20, 25, 30, 15, 30]
+        );
     }
 }

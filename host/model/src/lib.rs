@@ -54,4 +54,4 @@ pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};
 pub use types::{EnumType, Field, Prim, StructType, Type};
 pub use unit::{Unit, UnitError};
-pub use value::{ValueError, check_range, decode, encode, interpolate};
+pub use value::{ValueError, check_range, decode, encode, from_float, interpolate};

@@ -8,6 +8,7 @@ mod interpolate;
 mod put;
 mod range;
 
+pub use get::from_float;
 pub use interpolate::interpolate;
 pub use range::check_range;
 

@@ -74,7 +74,7 @@ pub struct MailboxStats {
     pub pushed: u64,
     /// Accepted and later dropped: overflow, superseded, or still queued at close.
     pub dropped: u64,
-    /// Of those dropped: a newer one of the same index took their place, as `LatestWins` asks for.
+    /// Dropped, and no loss: a newer one of the same index took their place, as `LatestWins` asks for.
     pub superseded: u64,
     /// Refused.
     pub rejected: u64,

@@ -205,7 +205,7 @@ impl Goal {
         }
     }
 
-    /// What the goal is with this argument: a word that lets a device rest is none. Real-time.
+    /// The goal as this argument makes it: a word that lets a device rest is none. Real-time.
     pub(super) fn with(self, arg: &[u8]) -> Goal {
         if self == Goal::State && !IN_MOTION.contains(&text(arg)) { Goal::None } else { self }
     }

@@ -43,11 +43,7 @@ impl Sending {
 
     /// Is the next image due? It is with news alone, and not again before `rate_hz` says so.
     pub(crate) fn is_due(&mut self, now: Stamp, rate_hz: f64) -> bool {
-        let pace = RateLimit::new(rate_hz);
-        if pace.gap_ns() != self.pace.gap_ns() {
-            self.pace = pace;
-        }
-        let due = self.has_news() && self.pace.is_due(now.ns());
+        let due = self.has_news() && self.pace.at(rate_hz).is_due(now.ns());
         if due {
             self.pace.keep(now.ns());
         }

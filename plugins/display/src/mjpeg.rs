@@ -15,7 +15,6 @@ use trocar_sdk::{Host, RateLimit, Result};
 use crate::freshness::{Freshness, Stale};
 use crate::handoff::{Giver, Taker, pair};
 use crate::mark;
-use crate::viewing::paced;
 
 /// How often the encoder looks for a frame while somebody looks at its pictures.
 const LOOKS: Duration = Duration::from_millis(2);
@@ -241,7 +240,7 @@ fn encode(stream: &Stream, mut taker: Taker, quality: u8, clock: &Clock) {
             }
             // Without a mark it is shown again only as a newer frame.
             let other = made.frame != frame || (mark.is_some() && made.mark != mark);
-            let pace = paced(&mut made.pace, most_hz);
+            let pace = made.pace.at(most_hz);
             // A frame that came too early is shown later, unless another one came by then.
             let due = (made.asked != frame && pace.is_due(now_ns)) || now_ns >= pace.due_ns();
             made.asked = frame;

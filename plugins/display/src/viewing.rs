@@ -49,7 +49,7 @@ impl Viewing {
         let Some(browser) = &mut self.browser else { return };
         browser.stream.limit(mjpeg_hz);
         // What is marked as stale is not left so.
-        let due = paced(&mut browser.pace, mjpeg_hz).is_due(now.ns()) || was_stale;
+        let due = browser.pace.at(mjpeg_hz).is_due(now.ns()) || was_stale;
         let wanted = due && browser.stream.viewers() > 0;
         if wanted || browser.kept.takes(bytes.len(), now) {
             let given = browser.giver.give(header, bytes);
@@ -58,15 +58,6 @@ impl Viewing {
             }
         }
     }
-}
-
-/// The limit, at that rate from now on, Hz.
-pub(crate) fn paced(pace: &mut RateLimit, rate_hz: f64) -> &mut RateLimit {
-    let wanted = RateLimit::new(rate_hz);
-    if wanted.gap_ns() != pace.gap_ns() {
-        *pace = wanted;
-    }
-    pace
 }
 
 /// How many bytes may be copied for nobody in particular.
@@ -94,29 +85,7 @@ pub(crate) struct Browser {
     pub(crate) _encoder: Encoder,
     pub(crate) giver: Giver,
     pub(crate) stream: Arc<Stream>,
-    /// Of the frames that are given because somebody looks.
+    /// The pace of frames that are given because somebody looks.
     pub(crate) pace: RateLimit,
     pub(crate) kept: Allowance,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn as_many_frames_are_shown_as_are_asked_for_also_of_a_source_that_is_hardly_faster() {
-        let mut pace = RateLimit::UNLIMITED;
-        let mut shown = |rate_hz: f64, second: u64| {
-            let frames = (0..30).map(|n| second * 1_000_000_000 + n * 33_333_333);
-            let given = frames.filter(|now| {
-                let due = paced(&mut pace, rate_hz).is_due(*now);
-                if due {
-                    pace.keep(*now);
-                }
-                due
-            });
-            given.count()
-        };
-        assert_eq!([shown(20.0, 1), shown(25.0, 2), shown(60.0, 3), shown(15.0, 4)], [20, 25, 30, 15]);
-    }
 }

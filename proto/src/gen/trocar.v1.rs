@@ -711,7 +711,8 @@ pub struct Connection {
     /// How the server is told of commands; empty for streams, and as above.
     #[prost(string, tag = "18")]
     pub server_wake: ::prost::alloc::string::String,
-    /// Samples a newer one took the place of before the client looked, where it takes the newest only: no loss.
+    /// Samples a newer one took the place of before the client looked, where it takes the newest only, and commands
+    /// that a newer one of their kind superseded before the server looked, where the latest wins: no loss.
     #[prost(uint64, tag = "19")]
     pub skipped: u64,
 }

@@ -1,6 +1,7 @@
 //! Depth from the phantom's stereo pairs beside their true disparity (B4).
 //!
-//! The tool is left out: the depth of its tip and its distance from the retina are tests of `plugins/stereo-depth`, over twenty scenes.
+//! The tool is left out: the depth of its tip and its distance from the retina are tests of
+//! `plugins/stereo-depth`, over twenty scenes.
 //!
 //! Invariant: both matchers have the pairs of one camera, and a map is held against the truth of its own pair.
 

@@ -68,9 +68,9 @@ fn lost(file: &Path) -> u64 {
         let [passed, dropped, skipped] = ["passed", "dropped", "skipped"].map(|what| number(&all[0][what]));
         (passed, dropped + skipped)
     };
-    let (before, _) = eventually("the filter takes samples", || match counts() {
+    let before = eventually("the filter takes samples", || match counts() {
         (0, _) => Err("none has passed".to_owned()),
-        counts => Ok(counts),
+        (passed, _) => Ok(passed),
     });
     let (_, lost) = eventually("the samples", || match counts() {
         counts @ (passed, _) if passed >= before + SAMPLES => Ok(counts),

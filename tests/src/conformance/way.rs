@@ -95,7 +95,8 @@ pub struct Way {
 const RUNS: usize = 5;
 
 thread_local! {
-    /// A process of a lab that was dropped on this thread was lost to its GCM or to the other one, although nobody ended either.
+    /// A process of a lab that was dropped on this thread was lost to its GCM, or to the other one, although
+    /// nobody ended it.
     static WAS_AWAY: Cell<bool> = const { Cell::new(false) };
 }
 
@@ -118,8 +119,8 @@ impl Way {
         }
     }
 
-    /// Plays a case. A machine that gives a process no time for long makes its GCM, or the process it is linked to, think it lost, as it
-    /// should: that is another promise's business, and such a run is done again.
+    /// Plays a case. A machine that gives a process no time for long makes its GCM, or the process it is linked
+    /// to, think it lost, as it should: that is another promise's business, and such a run is done again.
     ///
     /// # Panics
     /// As the case.

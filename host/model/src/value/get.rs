@@ -99,7 +99,8 @@ fn get_prim(p: Prim, b: &[u8], here: &At<'_>) -> Res<Value> {
     })
 }
 
-fn from_float(n: f64) -> Value {
+/// A number as JSON has it; NaN and the infinities, which it has not, as texts.
+pub fn from_float(n: f64) -> Value {
     match Number::from_f64(n) {
         Some(number) => Value::Number(number),
         None if n.is_nan() => Value::from("NaN"),

@@ -95,7 +95,8 @@ fn loom_a_call_that_is_ended_meets_its_server_and_is_answered_once() {
     });
 }
 
-/// Nothing but a wake ends the sleep of a caller without a deadline: who forgets it leaves loom nobody to go on with.
+/// Nothing but a wake ends the sleep of a caller without a deadline: without it loom finds nobody to go on
+/// with.
 #[test]
 fn loom_a_caller_that_sleeps_is_woken_by_the_answer_and_by_the_end_of_its_server() {
     let ends: [fn(&ReplyPool, u64); 3] = [

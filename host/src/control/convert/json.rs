@@ -1,7 +1,8 @@
 //! JSON ↔ `google.protobuf.Value`: numbers are doubles there, so whole numbers beyond 2^53 travel as strings.
 
 use prost_types::{Duration, ListValue, Struct, Value as Wire, value::Kind};
-use serde_json::{Number, Value};
+use serde_json::Value;
+use trocar_model::from_float;
 
 /// Largest whole number a double holds exactly.
 const EXACT: f64 = 9_007_199_254_740_992.0;
@@ -11,19 +12,10 @@ pub(crate) fn from_value(value: Wire) -> Value {
         None | Some(Kind::NullValue(_)) => Value::Null,
         Some(Kind::BoolValue(b)) => Value::Bool(b),
         Some(Kind::NumberValue(n)) if n.fract() == 0.0 && n.abs() < EXACT => Value::from(n as i64),
-        Some(Kind::NumberValue(n)) => Number::from_f64(n).map_or_else(|| special(n).into(), Value::Number),
+        Some(Kind::NumberValue(n)) => from_float(n),
         Some(Kind::StringValue(s)) => Value::String(s),
         Some(Kind::StructValue(s)) => from_struct(s),
         Some(Kind::ListValue(l)) => Value::Array(l.values.into_iter().map(from_value).collect()),
-    }
-}
-
-/// What is no number of JSON, in the words of a value's texts, whoever wrote it.
-fn special(n: f64) -> &'static str {
-    match n {
-        f64::INFINITY => "Infinity",
-        f64::NEG_INFINITY => "-Infinity",
-        _ => "NaN",
     }
 }
 

@@ -91,7 +91,8 @@ impl Wanted {
     }
 }
 
-/// The stream of lines, of those kept the `last` ones, 0 = all; it ends after those kept unless it follows, which has a place.
+/// The stream of lines, of those kept the `last` ones, 0 = all. It ends after those, unless it follows, for
+/// which it has a place.
 pub(super) fn stream(
     lines: &Lines,
     wanted: Wanted,

@@ -18,9 +18,9 @@ pub(in crate::control) const STANDING: usize = 256;
 #[derive(Debug)]
 pub(in crate::control) struct Standing {
     pub(super) watches: Places,
-    /// Of Lists that name an etag and wait for another one.
+    /// Lists that name an etag and wait for another one.
     pub(super) lists: Places,
-    /// Of Logs that follow.
+    /// Logs that follow.
     pub(super) logs: Places,
     pub(super) waits: Places,
 }

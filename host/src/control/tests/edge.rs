@@ -334,12 +334,12 @@ async fn a_port_serves_so_many_calls_that_wait_and_no_more_until_one_ends() {
     }
     let refused = s.interact().logs(of_logs()).await.err();
     is_refused(refused.as_ref(), "256 Logs that follow are open", "without `follow`");
-    // Those that were sent may not all have come yet.
+    // Some of them may not have come yet.
     let refused = in_time(async || full(s.gcm().list(soon(of_list())).await)).await.ok();
     is_refused(refused.as_ref(), "256 Lists that wait for a change are open", "without unless_etag");
     let refused = in_time(async || full(s.gcm().wait_for(soon(of_wait())).await)).await.ok();
     is_refused(refused.as_ref(), "256 WaitFors are open", "ask Watch");
-    // What does not wait is answered as ever, and what waits hears what it waits for.
+    // Calls that do not wait are answered as ever, and the others hear of what they wait for.
     s.gcm().list(v1::ListRequest::default()).await.unwrap();
     s.gcm().start(start("host/a")).await.unwrap();
     while let Some(answer) = lists.join_next().await {

@@ -188,7 +188,7 @@ async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
     for (index, sent_ns, arg) in [
         (SERVO, now_ns - 3 * PERIOD_NS - 1, number(1)),
         (SET, now_ns - GOAL_NS - 1, number(2)),
-        // What sets it in motion is a goal, what lets it rest is right however late it comes.
+        // A word that sets it in motion is a goal; one that lets it rest is right however late it comes.
         (STATE, now_ns - GOAL_NS - 1, word("home")),
         (SERVO, young_ns, number(3)),
         (SET, young_ns, number(4)),
