@@ -3,19 +3,19 @@
 //! Invariant: nothing is started and no byte of a plugin runs; what is said is what `run` and `up` would say,
 //! all at once.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::Args;
 use serde_json::{Value, json};
 use trocar_model::Request;
 
-use super::failure::{Done, Exit, Failure};
+use super::failure::{Done, Exit};
 use super::named::FileArgs;
 use super::offline::Offline;
 use super::session::Session;
 use super::{out, style, units};
 use crate::gcm::plan_lines;
-use crate::system_file::{Judged, Problem, SystemFile};
+use crate::system_file::{Draft, Judged, Problem, SystemFile};
 
 const EXAMPLES: &str = "\
 Example:
@@ -24,8 +24,8 @@ Exit code 0: nothing is wrong; 1: something is. Nothing is started and no plugin
 
 /// Lists everything that is wrong with a system file, each with its place and what to do.
 ///
-/// Syntax, names and values are judged first; where these are right, classes, configurations, ports and
-/// types, by the plugin directories of its processes.
+/// What is judged: syntax, names and values, and by the plugin directories of its processes classes,
+/// configurations, ports and types. What follows from another mistake is not listed.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct CheckArgs {
@@ -65,18 +65,22 @@ fn answer(
     session: &Session,
     right: impl FnOnce(&SystemFile, &[String]),
 ) -> Done {
-    let file = match read(named) {
-        Ok(file) => file,
-        Err(Bad::Settings(failure)) => return Err(failure),
-        Err(Bad::File(problems)) => return say(&named.system.file, &problems, &[], session),
+    let mut draft = match Draft::read(&named.system.file) {
+        Ok(draft) => draft,
+        Err(problems) => return say(&named.system.file, &problems, &[], session),
     };
-    let (mut judged, refused) = judged(&file, named)?;
+    for assignment in &named.system.sets {
+        draft.set(assignment)?;
+    }
+    let base: &Path = named.system.file.parent().unwrap_or(Path::new(""));
+    let offline = Offline::of(&mut draft, base, &named.plugins)?;
+    let mut judged = draft.judge(&offline.graph);
     if takes == Takes::One {
-        judged.problems.extend(file.single_process().err());
+        judged.problems.extend(draft.file().single_process().err());
     }
     if !judged.problems.is_empty() {
         // A class that is not there may be one of theirs.
-        return say(&named.system.file, &judged.problems, &refused, session);
+        return say(&named.system.file, &judged.problems, &offline.refused, session);
     }
     let (plan, notes) = (plan_lines(&judged.plan), unknown(&judged));
     if session.json() {
@@ -85,30 +89,9 @@ fn answer(
         )?;
         return Ok(Exit::Ok);
     }
-    right(&file, &plan);
+    right(draft.file(), &plan);
     notes.iter().for_each(|note| out::complain("note", note));
     Ok(Exit::Ok)
-}
-
-enum Bad {
-    /// A setting of the command line.
-    Settings(Failure),
-    File(Vec<Problem>),
-}
-
-fn read(named: &FileArgs) -> Result<SystemFile, Bad> {
-    let mut file = SystemFile::check(&named.system.file).map_err(Bad::File)?;
-    for assignment in &named.system.sets {
-        file.set(assignment).map_err(|bad| Bad::Settings(bad.into()))?;
-    }
-    Ok(file)
-}
-
-fn judged(file: &SystemFile, named: &FileArgs) -> Result<(Judged, Vec<String>), Failure> {
-    let base: &Path = named.system.file.parent().unwrap_or(Path::new(""));
-    let given: &[PathBuf] = &named.plugins;
-    let offline = Offline::of(file, base, given)?;
-    Ok((file.judge(&offline.graph), offline.refused))
 }
 
 /// Connections whose ports nobody knows yet.

@@ -11,9 +11,10 @@ use trocar_model::{Process, ProcessState, SystemGraph, Warnings};
 
 use super::failure::Failure;
 use super::hosting;
+use crate::host::HostError;
 use crate::lcm;
 use crate::loader::{self, AllowList, PluginEntry, Trust};
-use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
+use crate::system_file::{Draft, ProcessSpec, TrustSpec};
 
 /// Processes without components, and the plugin files that would be refused, with why.
 pub(super) struct Offline {
@@ -22,24 +23,26 @@ pub(super) struct Offline {
 }
 
 impl Offline {
-    /// The processes of `file`; relative paths are relative to `base`, `given` are plugin directories instead
-    /// of the file's.
+    /// The processes of `draft`; relative paths are relative to `base`, `given` are plugin directories instead
+    /// of the file's. A directory of the file, or a list of hashes, that cannot be read is noted in the draft.
     ///
     /// # Errors
-    /// A plugin directory, or a list of hashes, that cannot be read.
-    pub(super) fn of(file: &SystemFile, base: &Path, given: &[PathBuf]) -> Result<Offline, Failure> {
+    /// A plugin directory that is not the file's cannot be read.
+    pub(super) fn of(draft: &mut Draft, base: &Path, given: &[PathBuf]) -> Result<Offline, Failure> {
         let mut offline = Offline {
             graph: SystemGraph { next_connection: 1, ..SystemGraph::default() },
             refused: Vec::new(),
         };
         let mut looked: HashMap<Vec<PathBuf>, Arc<Vec<PluginEntry>>> = HashMap::new();
-        for spec in &file.processes {
-            let dirs = hosting::plugins_of(spec, base, given.to_vec());
-            let plugins = match (looked.get(&dirs), &spec.trust) {
-                (Some(known), TrustSpec::Dev) => known.clone(),
+        for spec in draft.processes().to_vec() {
+            let Some((dirs, trust)) = sources(draft, &spec, base, given) else {
+                offline.graph.processes.insert(spec.name, process(Vec::new()));
+                continue;
+            };
+            let plugins = match (looked.get(&dirs), &trust) {
+                (Some(known), Trust::Dev) => known.clone(),
                 _ => {
-                    let trust = trust(spec, base)?;
-                    let found = loader::look(&dirs, &trust).map_err(crate::host::HostError::Store)?;
+                    let found = loader::look(&dirs, &trust).map_err(HostError::Store)?;
                     offline.refused.extend(found.iter().filter_map(refused));
                     let found = Arc::new(found);
                     if matches!(trust, Trust::Dev) {
@@ -49,7 +52,7 @@ impl Offline {
                 }
             };
             let process = process(lcm::offered(&plugins, spec.allow_exec));
-            offline.graph.processes.insert(spec.name.clone(), process);
+            offline.graph.processes.insert(spec.name, process);
         }
         offline.refused.sort();
         offline.refused.dedup();
@@ -57,11 +60,38 @@ impl Offline {
     }
 }
 
+/// Where the classes of a process come from, as far as it is there; `None` where the file does not say it, or
+/// nobody knows which files are taken.
+fn sources(
+    draft: &mut Draft,
+    spec: &ProcessSpec,
+    base: &Path,
+    given: &[PathBuf],
+) -> Option<(Vec<PathBuf>, Trust)> {
+    if draft.has_no_classes(&spec.name) {
+        return None;
+    }
+    let mut note = |part: &str, failure: Failure| {
+        draft.without_classes(&spec.name, part, failure.message, failure.help);
+    };
+    let mut dirs = hosting::plugins_of(spec, base, given.to_vec());
+    if given.is_empty() && !spec.plugins.is_empty() {
+        let mut number = 0..;
+        dirs.retain(|dir| {
+            let number = number.next().unwrap_or_default();
+            let looked = loader::check_dir(dir).map_err(HostError::Store);
+            looked.map_err(|e| note(&format!("plugins/{number}"), e.into())).is_ok()
+        });
+    }
+    let trust = trust(spec, base).map_err(|failure| note("trust", failure)).ok()?;
+    Some((dirs, trust))
+}
+
 pub(super) fn trust(spec: &ProcessSpec, base: &Path) -> Result<Trust, Failure> {
     Ok(match &spec.trust {
         TrustSpec::Dev => Trust::Dev,
         TrustSpec::AllowList(list) => {
-            let list = AllowList::read(&base.join(list)).map_err(crate::host::HostError::Store)?;
+            let list = AllowList::read(&base.join(list)).map_err(HostError::Store)?;
             Trust::AllowList(list)
         }
     })

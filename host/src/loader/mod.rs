@@ -40,6 +40,7 @@ pub use listed::{ClassRef, ListedPlugin};
 pub(crate) use load::Loading;
 pub use load::{LoadedClass, LoadedPlugin};
 pub(crate) use load::{Moment, has_loaded_since, moment};
+pub(crate) use store::check_dir;
 pub use store::{PluginStore, PluginStoreConfig, look};
 pub use trust::{AllowList, Trust};
 pub use vet::{VET_ARG, try_file};

@@ -356,7 +356,11 @@ pub(super) fn is_called(name: &str, file: &Path, plugin: Option<&str>) -> bool {
     name.is_empty() || plugin == Some(name) || file.file_name().is_some_and(|own| own == name)
 }
 
-fn check_dir(dir: &Path) -> Result<(), StoreError> {
+/// Whether it can be looked into.
+///
+/// # Errors
+/// It is missing, no directory, unreadable.
+pub(crate) fn check_dir(dir: &Path) -> Result<(), StoreError> {
     let dir = dir.to_path_buf();
     let wrong = |e: std::io::Error| match e.kind() {
         std::io::ErrorKind::NotFound => StoreError::DirMissing { dir: dir.clone() },

@@ -75,7 +75,7 @@ impl Found {
 
     /// No more are listed: whatever is read now is read for nothing.
     pub(super) fn is_full(&self) -> bool {
-        self.0.borrow().len() >= MOST
+        self.count() >= MOST
     }
 
     /// The value that was read; `None` where that is a problem.
@@ -95,8 +95,9 @@ impl Found {
         all
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.0.borrow().is_empty()
+    /// The number of them. It rises where a part that was read meanwhile is wrong, as long as they are listed.
+    pub(super) fn count(&self) -> usize {
+        self.0.borrow().len()
     }
 }
 

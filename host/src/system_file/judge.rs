@@ -1,15 +1,17 @@
 //! A system file against the classes there are: every request that would be refused, and what would be done.
 //!
 //! Invariant: pure. It is judged by the planner that carries requests out, so nothing is refused here that
-//! would be done, nor the other way; what hangs on something that was refused is not judged.
+//! would be done, nor the other way; what hangs on something that was refused, or could not be read, is not judged.
 
 use std::collections::{BTreeSet, VecDeque};
 
-use trocar_model::{ComponentId, Plan, Planning, PortId, Refusal, Request, SystemGraph, Target, host_of};
+use trocar_model::{
+    ComponentId, Execution, Plan, Planning, PortId, Refusal, Request, SystemGraph, Target, host_of,
+};
 
-use super::SystemFile;
 use super::cursor::MOST;
 use super::problem::Problem;
+use super::{Draft, SystemFile};
 
 /// The verdict on a file.
 #[derive(Clone, Debug, Default)]
@@ -23,57 +25,151 @@ pub struct Judged {
     pub unknown: Vec<(PortId, Request)>,
 }
 
-impl SystemFile {
+impl Draft {
     /// Judges the file by the processes of `graph`, and what runs there already. A hundred problems are
-    /// listed, at most.
+    /// listed, at most, those of reading first.
     pub fn judge(&self, graph: &SystemGraph) -> Judged {
-        let (mut judged, mut planning) = (Judged::default(), Planning::of(graph));
-        // Not there, since their Create was refused; and those that miss a connection for such a reason.
-        let (mut absent, mut incomplete) = (BTreeSet::new(), BTreeSet::new());
-        let mut left: VecDeque<Request> = self.requests().into();
-        while let Some(request) = left.pop_front().filter(|_| judged.problems.len() < MOST) {
-            if let Some(targets) = several(&request) {
-                // Together, and one by one where that is refused: one that cannot start hides no other.
-                let mut complete = targets.clone();
-                complete.retain(|target| named(target).is_none_or(|id| !incomplete.contains(id)));
-                if planning.add(&Request::Start { targets: complete }).is_err() {
-                    left.extend(targets.into_iter().map(|target| Request::Start { targets: vec![target] }));
-                }
-                continue;
-            }
-            let is_start = matches!(request, Request::Start { .. });
-            if touched(&request).any(|id| absent.contains(&id) || is_start && incomplete.contains(&id)) {
-                incomplete.extend(client(&request).cloned());
-            } else if let Err(refusal) = planning.add(&request) {
-                if matches!(request, Request::Create { .. }) {
-                    absent.extend(client(&request).cloned());
-                }
-                incomplete.extend(client(&request).cloned());
-                self.refused(&mut judged, planning.graph(), request, refusal);
+        let mut judging = Judging {
+            draft: self,
+            planning: Planning::of(graph),
+            judged: Judged { problems: self.problems.clone(), ..Judged::default() },
+            absent: BTreeSet::new(),
+            hosts_nobody: BTreeSet::new(),
+            incomplete: BTreeSet::new(),
+        };
+        let mut left: VecDeque<Request> = self.file.requests().into();
+        let mut connections = 0..;
+        while let Some(request) = left.pop_front().filter(|_| judging.judged.problems.len() < MOST) {
+            match &request {
+                Request::Create { .. } => judging.create(request),
+                Request::Connect { .. } => judging.connect(request, connections.next().unwrap_or_default()),
+                Request::Start { targets } => judging.start(targets),
+                _ => {}
             }
         }
+        let Judging { mut judged, planning, .. } = judging;
         judged.problems.sort_by_key(|problem| (problem.line, problem.column));
         judged.plan = planning.plan();
         judged
     }
+}
 
-    fn refused(&self, judged: &mut Judged, graph: &SystemGraph, request: Request, refusal: Refusal) {
+/// A draft while it is judged, request by request.
+struct Judging<'a> {
+    draft: &'a Draft,
+    planning: Planning,
+    judged: Judged,
+    /// Components that are not there: what names them is not judged.
+    absent: BTreeSet<ComponentId>,
+    /// There with the execution of their class: whether others may run in their threads is not judged.
+    hosts_nobody: BTreeSet<ComponentId>,
+    /// Components of which something was refused, or not judged: whether they can start is not judged.
+    incomplete: BTreeSet<ComponentId>,
+}
+
+impl Judging<'_> {
+    /// A component whose settings are refused is there without them, so that its connections are judged.
+    fn create(&mut self, request: Request) {
+        let Request::Create { id, class, mut config, mut execution } = request else { return };
+        let (doubts, written) = (&self.draft.doubts, self.draft.file.written(&id));
+        let host = host_of(&execution);
+        if doubts.components.contains(written)
+            || host.is_some_and(|host| self.absent.contains(&host) || self.hosts_nobody.contains(&host))
+        {
+            self.absent.insert(id);
+            return;
+        }
+        if doubts.executions.contains(written) {
+            self.hosts_nobody.insert(id.clone());
+            self.incomplete.insert(id.clone());
+        }
+        loop {
+            let request = Request::Create {
+                id: id.clone(),
+                class: class.clone(),
+                config: config.clone(),
+                execution: execution.clone(),
+            };
+            let Err(refusal) = self.planning.add(&request) else { return };
+            self.incomplete.insert(id.clone());
+            let without = match &refusal {
+                Refusal::ConfigInvalid { .. } => config.take().is_some(),
+                Refusal::ArgumentInvalid { .. } if execution != Execution::default() => {
+                    execution = Execution::default();
+                    self.hosts_nobody.insert(id.clone())
+                }
+                _ => false,
+            };
+            let is_known = !matches!(refusal, Refusal::ClassNotFound { .. })
+                || !doubts.processes.contains(&written.process);
+            if is_known {
+                self.refused(request, refusal);
+            }
+            if !without {
+                self.absent.insert(id);
+                return;
+            }
+        }
+    }
+
+    /// The connection of this number in the draft.
+    fn connect(&mut self, request: Request, number: usize) {
+        let Request::Connect { client, server, .. } = &request else { return };
+        if [client, server].iter().any(|end| self.absent.contains(&end.component)) {
+            self.incomplete.insert(client.component.clone());
+        } else if let Err(refusal) = self.planning.add(&request) {
+            self.incomplete.insert(client.component.clone());
+            if !self.draft.doubts.connections.contains(&number) || is_of_ports(&refusal) {
+                self.refused(request, refusal);
+            }
+        }
+    }
+
+    /// All together, and one by one where that is refused: one that cannot start hides no other.
+    fn start(&mut self, targets: &[Target]) {
+        if self.draft.doubts.is_one_lost {
+            return;
+        }
+        let is_judged = |id: &&ComponentId| !self.absent.contains(*id) && !self.incomplete.contains(*id);
+        let ids: Vec<ComponentId> = targets.iter().filter_map(named).filter(is_judged).cloned().collect();
+        let of =
+            |ids: &[ComponentId]| Request::Start { targets: ids.iter().cloned().map(Target::One).collect() };
+        if self.planning.add(&of(&ids)).is_ok() {
+            return;
+        }
+        for id in ids {
+            let alone = of(&[id]);
+            if let Err(refusal) = self.planning.add(&alone) {
+                self.refused(alone, refusal);
+            }
+        }
+    }
+
+    fn refused(&mut self, request: Request, refusal: Refusal) {
+        let file = &self.draft.file;
+        let judged = &mut self.judged;
+        if judged.problems.len() >= MOST {
+            return;
+        }
         match refusal {
-            Refusal::InterfaceNotFound { port, .. } if self.may_make(&port) => {
+            Refusal::InterfaceNotFound { port, .. } if file.may_make(&port) => {
                 // The other end may be wrong all the same.
-                let other = self.no_server(graph, &request).filter(|_| is_client(&port, &request));
-                judged.problems.extend(other.map(|refusal| self.problem_of(&refusal)));
+                let other = file.no_server(self.planning.graph(), &request);
+                let other = other.filter(|_| is_client(&port, &request));
+                judged.problems.extend(other.map(|refusal| file.problem_of(&refusal)));
                 judged.unknown.push((port, request));
             }
             Refusal::ConfigInvalid { id, violations } => {
                 let alone =
                     |violation| Refusal::ConfigInvalid { id: id.clone(), violations: vec![violation] };
-                judged.problems.extend(violations.into_iter().map(|v| self.problem_of(&alone(v))));
+                judged.problems.extend(violations.into_iter().map(|v| file.problem_of(&alone(v))));
             }
-            refusal => judged.problems.push(self.problem_of(&refusal)),
+            refusal => judged.problems.push(file.problem_of(&refusal)),
         }
     }
+}
 
+impl SystemFile {
     /// Its component is given a configuration, which may make ports.
     fn may_make(&self, port: &PortId) -> bool {
         let of_it = self.components.iter().find(|c| c.id == port.component);
@@ -103,14 +199,6 @@ impl SystemFile {
     }
 }
 
-/// The targets of a Start, where they are several.
-fn several(request: &Request) -> Option<Vec<Target>> {
-    match request {
-        Request::Start { targets } if targets.len() > 1 => Some(targets.clone()),
-        _ => None,
-    }
-}
-
 fn named(target: &Target) -> Option<&ComponentId> {
     match target {
         Target::One(id) => Some(id),
@@ -118,26 +206,19 @@ fn named(target: &Target) -> Option<&ComponentId> {
     }
 }
 
-/// The component that a request is for.
-fn client(request: &Request) -> Option<&ComponentId> {
-    match request {
-        Request::Create { id, .. } => Some(id),
-        Request::Connect { client, .. } => Some(&client.component),
-        Request::Start { targets } => targets.first().and_then(named),
-        _ => None,
-    }
-}
-
 fn is_client(port: &PortId, request: &Request) -> bool {
     matches!(request, Request::Connect { client, .. } if client == port)
 }
 
-/// All components that have to be there for it.
-fn touched(request: &Request) -> impl Iterator<Item = ComponentId> {
-    let other = match request {
-        Request::Connect { server, .. } => Some(server.component.clone()),
-        Request::Create { execution, .. } => host_of(execution),
-        _ => None,
-    };
-    client(request).cloned().into_iter().chain(other)
+/// It is about the ports by themselves: no option of the connection would change it.
+fn is_of_ports(refusal: &Refusal) -> bool {
+    matches!(
+        refusal,
+        Refusal::InterfaceNotFound { .. }
+            | Refusal::WrongDirection { .. }
+            | Refusal::AlreadyConnected { .. }
+            | Refusal::CommandMissing { .. }
+            | Refusal::CommandKindMismatch { .. }
+            | Refusal::TruthToActuator { .. }
+    )
 }

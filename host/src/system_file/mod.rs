@@ -5,8 +5,11 @@
 
 mod cursor;
 mod difference;
+mod draft;
 mod isolation;
 mod judge;
+#[cfg(test)]
+mod judge_tests;
 mod overrides;
 mod place;
 mod problem;
@@ -31,6 +34,7 @@ use crate::host::MemoryBounds;
 use crate::processes::Policy;
 
 pub use difference::Difference;
+pub use draft::Draft;
 pub use judge::Judged;
 pub use overrides::BadSet;
 pub use problem::Problem;
@@ -143,45 +147,9 @@ impl SystemFile {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// The first problem of [`SystemFile::check`].
+    /// Unreadable, not UTF-8, not JSON, or not a system file: the first problem; [`Draft`] has them all.
     pub fn read(path: &Path) -> Result<Self, Problem> {
-        Self::check(path).map_err(first)
-    }
-
-    /// Reads and checks a file.
-    ///
-    /// # Errors
-    /// Unreadable, not UTF-8, not JSON, or not a system file: all problems, in the order of the file, with
-    /// their places; a hundred at most.
-    pub fn check(path: &Path) -> Result<Self, Vec<Problem>> {
-        let shown = path.display().to_string();
-        let whole = |what: String, help: &str| {
-            vec![Problem {
-                file: shown.clone(),
-                line: 0,
-                column: 0,
-                pointer: String::new(),
-                what,
-                help: help.to_owned(),
-            }]
-        };
-        let mut bytes = Vec::new();
-        let read =
-            std::fs::File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
-        read.map_err(|e| {
-            whole(format!("the system file cannot be read: {e}"), "check the path and its permissions")
-        })?;
-        if bytes.len() as u64 > MAX_BYTES {
-            return Err(whole(
-                format!("a system file has at most {} MiB", MAX_BYTES >> 20),
-                "check that the path names the system file",
-            ));
-        }
-        let text = String::from_utf8(bytes).map_err(|e| {
-            let upto = e.utf8_error().valid_up_to();
-            whole(format!("not UTF-8 text: byte {upto} is not valid"), "save the file as UTF-8")
-        })?;
-        Self::check_text(&shown, text)
+        Self::parse(&path.display().to_string(), text_of(path)?)
     }
 
     /// Checks a text; `file` is the name used in problems.
@@ -189,11 +157,8 @@ impl SystemFile {
     /// # Errors
     /// As [`SystemFile::read`].
     pub fn parse(file: &str, text: String) -> Result<Self, Problem> {
-        Self::check_text(file, text).map_err(first)
-    }
-
-    fn check_text(file: &str, text: String) -> Result<Self, Vec<Problem>> {
-        read::system(Document::parse(file, text).map_err(|problem| vec![problem])?)
+        // There is one where anything is wrong.
+        Draft::of(file, text).and_then(Draft::finished).map_err(|mut problems| problems.swap_remove(0))
     }
 
     /// Its text; where a setting was changed, one that says the same with it.
@@ -257,9 +222,31 @@ impl SystemFile {
     }
 }
 
-/// There is one where anything is wrong.
-fn first(mut problems: Vec<Problem>) -> Problem {
-    problems.swap_remove(0)
+/// The text of a file.
+fn text_of(path: &Path) -> Result<String, Problem> {
+    let whole = |what: String, help: &str| Problem {
+        file: path.display().to_string(),
+        line: 0,
+        column: 0,
+        pointer: String::new(),
+        what,
+        help: help.to_owned(),
+    };
+    let mut bytes = Vec::new();
+    let read = std::fs::File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+    read.map_err(|e| {
+        whole(format!("the system file cannot be read: {e}"), "check the path and its permissions")
+    })?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(whole(
+            format!("a system file has at most {} MiB", MAX_BYTES >> 20),
+            "check that the path names the system file",
+        ));
+    }
+    String::from_utf8(bytes).map_err(|e| {
+        let upto = e.utf8_error().valid_up_to();
+        whole(format!("not UTF-8 text: byte {upto} is not valid"), "save the file as UTF-8")
+    })
 }
 
 /// File order, but a component that runs in another's thread comes after that one. A cycle keeps file order: the model

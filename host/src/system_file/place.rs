@@ -125,7 +125,7 @@ impl SystemFile {
     }
 
     /// What the file calls a component.
-    fn written<'a>(&'a self, id: &'a ComponentId) -> &'a ComponentId {
+    pub(super) fn written<'a>(&'a self, id: &'a ComponentId) -> &'a ComponentId {
         self.components.iter().find(|c| c.id == *id).map_or(id, |c| &c.written)
     }
 }

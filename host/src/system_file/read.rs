@@ -1,17 +1,19 @@
 //! Positioned JSON → `SystemFile`: one function per part of the file.
 //!
 //! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two.
-//! Whatever is wrong is noted, and the rest is read all the same; a part with a problem is never used.
+//! Whatever is wrong is noted, and the rest is read all the same; parts that may say something else than was meant are
+//! doubted.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use trocar_model::{
-    ComponentId, ConnectOptions, Execution, ExecutionModel, OnFailure, PortId, Queue, Refusal, Wake,
+    ComponentId, ConnectOptions, Execution, ExecutionModel, Name, OnFailure, PortId, Queue, Refusal, Wake,
 };
 
 use super::cursor::{Cursor, Document, Found, did_you_mean};
+use super::draft::{Doubts, Draft};
 use super::isolation::isolate;
 use super::problem::Problem;
 use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
@@ -73,13 +75,13 @@ pub(super) const ISOLATIONS: &[(&str, bool)] = &[("none", false), ("process", tr
 const PATH_HELP: &str = "write process/component, e.g. \"host/robot\"";
 const PORT_HELP: &str = "write process/component/port, e.g. \"host/robot/arm\"";
 
-/// The whole file, or all that is wrong with it.
-pub(super) fn system(document: Document) -> Result<SystemFile, Vec<Problem>> {
-    let found = Found::default();
-    let read = parts(&document, &found);
-    match read.filter(|_| found.is_empty()) {
+/// The file as far as it can be read, and all that is wrong with it; problems alone where nothing can be made of it.
+pub(super) fn draft(document: Document) -> Result<Draft, Vec<Problem>> {
+    let (found, mut doubts) = (Found::default(), Doubts::default());
+    match parts(&document, &found, &mut doubts) {
         Some((processes, components, connections)) => {
-            Ok(SystemFile { processes, components, connections, document, is_changed: false })
+            let file = SystemFile { processes, components, connections, document, is_changed: false };
+            Ok(Draft { file, problems: found.all(), doubts })
         }
         None => Err(found.all()),
     }
@@ -87,7 +89,7 @@ pub(super) fn system(document: Document) -> Result<SystemFile, Vec<Problem>> {
 
 type Parts = (Vec<ProcessSpec>, Vec<ComponentSpec>, Vec<ConnectionSpec>);
 
-fn parts(document: &Document, found: &Found) -> Option<Parts> {
+fn parts(document: &Document, found: &Found, doubts: &mut Doubts) -> Option<Parts> {
     let root = document.cursor();
     let fields = root.fields("a system file", SYSTEM, found);
     if let Some(schema) = fields.get("$schema") {
@@ -102,11 +104,11 @@ fn parts(document: &Document, found: &Found) -> Option<Parts> {
         ));
         return None;
     }
-    let listed = fields.get("processes").map(|part| processes(part, found));
+    let listed = fields.get("processes").map(|part| processes(part, found, doubts));
     let mut components =
-        fields.get("components").map_or_else(Vec::new, |c| components(c, listed.as_deref(), found));
+        fields.get("components").map_or_else(Vec::new, |c| components(c, listed.as_deref(), found, doubts));
     let mut connections =
-        fields.get("connections").map_or_else(Vec::new, |c| connections(c, &components, found));
+        fields.get("connections").map_or_else(Vec::new, |c| connections(c, &components, found, doubts));
     if let Some(scenarios) = fields.get("scenarios")
         && let Some((key, _)) = scenarios.entries("scenarios", found).first()
     {
@@ -117,9 +119,7 @@ fn parts(document: &Document, found: &Found) -> Option<Parts> {
         ));
     }
     let mut processes = listed.unwrap_or_else(|| implied_processes(&components));
-    if found.is_empty() {
-        isolate(document, &mut processes, &mut components, &mut connections, found);
-    }
+    isolate(document, &mut processes, &mut components, &mut connections, found);
     Some((processes, components, connections))
 }
 
@@ -134,10 +134,10 @@ fn implied_processes(components: &[ComponentSpec]) -> Vec<ProcessSpec> {
     processes
 }
 
-fn processes(part: &Cursor<'_>, found: &Found) -> Vec<ProcessSpec> {
+fn processes(part: &Cursor<'_>, found: &Found, doubts: &mut Doubts) -> Vec<ProcessSpec> {
     let mut processes = Vec::new();
     for (key, value) in part.entries("processes", found) {
-        let name = key.text.parse().map_err(|e: Refusal| {
+        let name = key.text.parse::<Name>().map_err(|e: Refusal| {
             part.key_problem(
                 key,
                 e.to_string(),
@@ -145,19 +145,27 @@ fn processes(part: &Cursor<'_>, found: &Found) -> Vec<ProcessSpec> {
             )
         });
         let fields = value.fields("a process", PROCESS, found);
+        let before = found.count();
         let plugins = fields.get("plugins").map_or_else(Vec::new, |list| texts(list, found));
+        let trust = found.may(fields.get("trust").map(trust)).unwrap_or_default();
+        let allow_exec = found.may(fields.get("allow_exec").map(Cursor::flag)).unwrap_or_default();
+        let knows_classes = found.count() == before;
         let spec = |name| ProcessSpec {
             name,
             plugins: plugins.into_iter().map(PathBuf::from).collect(),
-            trust: found.may(fields.get("trust").map(trust)).unwrap_or_default(),
+            trust,
             listen: found.may(fields.get("listen").map(listen)),
             state: found.may(fields.get("state").map(Cursor::text)).map(PathBuf::from),
             env: fields.get("env").map_or_else(Vec::new, |part| variables(part, found)),
             restart: fields.get("restart").map_or_else(Policy::default, |part| restart(part, found)),
             memory: found.may(fields.get("memory").map(|part| memory(part, found))).unwrap_or_default(),
-            allow_exec: found.may(fields.get("allow_exec").map(Cursor::flag)).unwrap_or_default(),
+            allow_exec,
         };
-        processes.extend(found.take(name).map(spec));
+        let Some(name) = found.take(name) else { continue };
+        if !knows_classes {
+            doubts.processes.insert(name.clone());
+        }
+        processes.push(spec(name));
     }
     processes
 }
@@ -263,7 +271,12 @@ fn trust(value: &Cursor<'_>) -> Result<TrustSpec, Problem> {
 }
 
 /// One that cannot be made has its name all the same: what connects it is no mistake.
-fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>, found: &Found) -> Vec<ComponentSpec> {
+fn components(
+    part: &Cursor<'_>,
+    processes: Option<&[ProcessSpec]>,
+    found: &Found,
+    doubts: &mut Doubts,
+) -> Vec<ComponentSpec> {
     let mut components = Vec::new();
     for (key, value) in part.entries("components", found) {
         if found.is_full() {
@@ -271,9 +284,11 @@ fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>, found: &Foun
         }
         let id = ComponentId::parse(&key.text).map_err(|e| part.key_problem(key, e.to_string(), PATH_HELP));
         let id = found.take(id);
+        let mut is_doubted = false;
         if let (Some(known), Some(id)) = (processes, &id)
             && known.iter().all(|p| p.name != id.process)
         {
+            is_doubted = true;
             found.note(part.key_problem(
                 key,
                 format!("process \"{}\" is not in \"processes\"", id.process),
@@ -283,6 +298,13 @@ fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>, found: &Foun
         let fields = value.fields("a component", COMPONENT, found);
         let class = fields.need("class", found).and_then(|class| found.take(class.text()));
         let config = fields.get("config").map(|part| config(part, found));
+        let before = found.count();
+        let execution = fields.get("execution").map(|part| execution(part, found));
+        let is_clear = found.count() == before;
+        if let Some(id) = &id {
+            doubts.components.extend((is_doubted || class.is_none()).then(|| id.clone()));
+            doubts.executions.extend((!is_clear).then(|| id.clone()));
+        }
         let spec = |id: ComponentId| ComponentSpec {
             written: id.clone(),
             id,
@@ -290,7 +312,7 @@ fn components(part: &Cursor<'_>, processes: Option<&[ProcessSpec]>, found: &Foun
             isolated: found.may(fields.get("isolation").map(|i| i.one_of(ISOLATIONS))).unwrap_or(false),
             class: class.unwrap_or_default().to_owned(),
             config,
-            execution: fields.get("execution").map_or_else(Execution::default, |e| execution(e, found)),
+            execution: execution.filter(|_| is_clear).unwrap_or_default(),
             start: found.may(fields.get("start").map(Cursor::flag)).unwrap_or(true),
         };
         components.extend(id.map(spec));
@@ -354,7 +376,12 @@ fn execution(value: &Cursor<'_>, found: &Found) -> Execution {
     }
 }
 
-fn connections(part: &Cursor<'_>, components: &[ComponentSpec], found: &Found) -> Vec<ConnectionSpec> {
+fn connections(
+    part: &Cursor<'_>,
+    components: &[ComponentSpec],
+    found: &Found,
+    doubts: &mut Doubts,
+) -> Vec<ConnectionSpec> {
     let known: BTreeSet<String> = components.iter().map(|c| c.id.to_string()).collect();
     let mut pairs = BTreeSet::new();
     let mut connections: Vec<ConnectionSpec> = Vec::new();
@@ -362,6 +389,7 @@ fn connections(part: &Cursor<'_>, components: &[ComponentSpec], found: &Found) -
         if found.is_full() {
             break;
         }
+        let before = found.count();
         let fields = value.fields("a connection", CONNECTION, found);
         let end = |key: &str| -> Option<PortId> {
             let at = fields.need(key, found)?;
@@ -391,9 +419,15 @@ fn connections(part: &Cursor<'_>, components: &[ComponentSpec], found: &Found) -
             replace: false,
             carrier: found.may(fields.get("carrier").map(Cursor::text)).unwrap_or_default().to_owned(),
         };
-        let (Some(client), Some(server)) = (client, server) else { continue };
+        let (Some(client), Some(server)) = (client, server) else {
+            doubts.is_one_lost = true;
+            continue;
+        };
         if !pairs.insert((client.to_string(), server.to_string())) {
             found.note(value.problem(format!("{client} → {server} is listed twice"), "keep one of the two"));
+        }
+        if found.count() > before {
+            doubts.connections.insert(connections.len());
         }
         connections.push(ConnectionSpec { client, server, options });
     }

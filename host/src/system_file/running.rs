@@ -55,6 +55,7 @@ impl Running<'_> {
         let inside = graph.components.iter().filter(|(id, _)| stays(id));
         let mut components: Vec<ComponentSpec> = inside.map(|(id, c)| self.component(id, c)).collect();
         components.sort_by(|a, b| a.written.cmp(&b.written));
+        notes.extend(relative_paths(&components));
         let mut between: Vec<&Connection> = graph.connections.values().collect();
         between.retain(|c| stays(&c.client.component) && stays(&c.server.component));
         // An output without a type is what the first input with one makes of it.
@@ -69,6 +70,9 @@ impl Running<'_> {
         spec.allow_exec = offered.into_iter().any(|class| class.programs == Programs::Allowed);
         match self.plugins.get(name) {
             Some(dirs) => spec.plugins = dirs.iter().map(|dir| relative(dir, folder)).collect(),
+            None if self.graph.processes.get(name).is_some_and(|p| p.state != ProcessState::Attached) => {
+                notes.push(format!("process {name} is not there to tell its plugin directories: add them"));
+            }
             None => notes.push(format!("process {name} does not tell its plugin directories: add them")),
         }
         spec
@@ -93,6 +97,30 @@ impl Running<'_> {
             start: runs(c.state),
         }
     }
+}
+
+/// Settings that name a file by a path which counts from where the host was started, and in a system file from
+/// where that lies.
+fn relative_paths(components: &[ComponentSpec]) -> Option<String> {
+    let is_path = |key: &str| {
+        let last = key.rsplit('_').next().unwrap_or(key);
+        matches!(last, "path" | "file" | "directory" | "dir" | "folder")
+    };
+    let mut found = Vec::new();
+    for component in components {
+        for (key, value) in component.config.iter().flat_map(|config| config.as_object()).flatten() {
+            let text = value.as_str().filter(|text| !text.is_empty() && Path::new(text).is_relative());
+            found.extend(
+                text.filter(|_| is_path(key)).map(|text| format!("{}.{key} = {text:?}", component.written)),
+            );
+        }
+    }
+    (!found.is_empty()).then(|| {
+        format!(
+            "relative paths count from where the hosts were started; in the file they will count from where it lies: {}",
+            found.join(", ")
+        )
+    })
 }
 
 /// The process like which one was made for this component alone; `None`: it lives where others may.

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use serde_json::json;
 use trocar_model::{ClassInfo, ProcessState, Programs, Request, State, StopReason, SystemGraph, plan_all};
 
-use super::tests::processes_of;
+use super::judge_tests::processes_of;
 use super::{Difference, Running, SystemFile};
 
 /// The class `arm` with settings of every kind, and another one like it.
@@ -21,6 +21,7 @@ fn classes() -> Vec<Arc<ClassInfo>> {
             "properties": {
                 "gain": { "type": "number", "minimum": 0, "default": 1.5, "live": true },
                 "grip": { "type": "string", "default": "open" },
+                "log_file": { "type": "string", "default": "" },
                 "limits": { "type": "object", "properties": { "force": { "type": "number", "default": 8 } } },
                 "serial": { "type": "integer" },
             },
@@ -107,6 +108,24 @@ fn what_stood_still_at_someones_request_is_saved_so_and_what_failed_is_not() {
     let file = parse(&saved(&graph).0);
     let starts: Vec<bool> = file.components.iter().map(|c| c.start).collect();
     assert_eq!(starts, [false, true, false, true]);
+}
+
+#[test]
+fn paths_that_mean_another_file_elsewhere_are_named() {
+    let with = |path: &str| RICH.replace(r#""gain": 2"#, &format!(r#""gain": 2, "log_file": "{path}""#));
+    let notes = saved(&made(&parse(&with("runs/a.txt")), &["host"])).1;
+    assert!(notes[1].contains(r#"host/b.log_file = "runs/a.txt""#), "{notes:?}");
+    assert_eq!(saved(&made(&parse(&with("/lab/a.txt")), &["host"])).1.len(), 1);
+}
+
+#[test]
+fn of_a_process_that_is_lost_all_is_saved_but_its_plugin_directories() {
+    let mut graph = made(&parse(RICH), &["host"]);
+    graph.processes.values_mut().for_each(|process| process.state = ProcessState::Lost);
+    let running = Running { graph: &graph, held: &BTreeSet::new(), plugins: &[].into() };
+    let (picture, notes) = running.picture(Path::new("/lab"));
+    assert_eq!(picture.text(), RICH.replace(r#"{ "plugins": ["plugins"] }"#, "{}"));
+    assert!(notes[0].contains("process host is not there to tell"), "{notes:?}");
 }
 
 #[test]

@@ -1,16 +1,12 @@
 //! Each kind of mistake in a system file, with the place and the help it must answer.
 #![allow(clippy::unwrap_used)]
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::json;
-use trocar_model::{
-    ClassInfo, ExecutionModel, OnFailure, Process, ProcessState, Queue, Refusal, Request, SystemGraph, Wake,
-    Warnings, plan_all,
-};
+use trocar_model::{ExecutionModel, OnFailure, Queue, Refusal, Request, Wake};
 
-use super::{Problem, SystemFile, system_schema};
+use super::{Draft, Problem, SystemFile, system_schema};
 use crate::host::MemoryBounds;
 use crate::processes::{Limits, Policy, Unheard};
 
@@ -35,6 +31,15 @@ const GOOD: &str = r#"{
 
 fn parse(text: &str) -> Result<SystemFile, Problem> {
     SystemFile::parse("system.json", text.to_owned())
+}
+
+/// All that is wrong with it by itself.
+fn checked(text: &str) -> Result<SystemFile, Vec<Problem>> {
+    draft(text).and_then(Draft::finished)
+}
+
+fn draft(text: &str) -> Result<Draft, Vec<Problem>> {
+    Draft::of("system.json", text.to_owned())
 }
 
 /// The file with one part replaced, which must then be refused.
@@ -107,7 +112,7 @@ fn every_mistake_is_listed_in_the_order_of_the_file_and_none_for_another_ones_sa
   ],
   "more": 1
 }"#;
-    let problems = SystemFile::check_text("system.json", text.to_owned()).unwrap_err();
+    let problems = checked(text).unwrap_err();
     let said: Vec<String> = problems.iter().map(|p| format!("{}: {}", p.pointer, p.what)).collect();
     assert_eq!(
         said,
@@ -137,7 +142,7 @@ fn every_mistake_is_listed_in_the_order_of_the_file_and_none_for_another_ones_sa
 #[test]
 fn a_file_of_mistakes_is_read_in_no_time_and_a_hundred_are_listed() {
     let many: Vec<String> = (0..200_000).map(|n| format!("\"k{n}\": 1")).collect();
-    let problems = SystemFile::check_text("system.json", format!("{{{}}}", many.join(","))).unwrap_err();
+    let problems = checked(&format!("{{{}}}", many.join(","))).unwrap_err();
     assert_eq!(problems.len(), 100);
 }
 
@@ -452,112 +457,4 @@ fn a_refusal_that_is_led_back_to_a_file_tells_what_to_change_in_the_file() {
     let (what, field) = (format!("Connect {}", first.client), "options.carrier".to_owned());
     let place = file.locate(&Refusal::ArgumentInvalid { what, why: "no carrier".into(), field }).unwrap();
     assert!(place.help.contains("trocar schema system"), "{}", place.help);
-}
-
-/// Processes whose plugins offer the class `arm`: an input, an output, a required and a provided interface.
-fn processes(names: &[&str]) -> SystemGraph {
-    processes_of(names, &[crate::gcm::fake::class()])
-}
-
-/// Processes without components whose plugins offer these classes.
-pub(super) fn processes_of(names: &[&str], classes: &[Arc<ClassInfo>]) -> SystemGraph {
-    let process = |name: &&str| {
-        let process = Process {
-            epoch: 1,
-            state: ProcessState::Attached,
-            endpoint: String::new(),
-            pid: 0,
-            classes: classes.to_vec(),
-            last_exit: String::new(),
-            restarts: 0,
-            warnings: Warnings::default(),
-            guest: String::new(),
-        };
-        (name.parse().unwrap(), process)
-    };
-    let processes = names.iter().map(process).collect();
-    SystemGraph { processes, next_connection: 1, ..SystemGraph::default() }
-}
-
-const WIRED: &str = r#"{
-  "version": 1,
-  "components": {
-    "host/a": { "class": "arm" },
-    "host/b": { "class": "arm", "config": { "gain": 2 }, "execution": { "rate_hz": 500 } },
-    "host/c": { "class": "arm", "start": false }
-  },
-  "connections": [
-    { "client": "host/b/input", "server": "host/a/value" },
-    { "client": "host/c/robot", "server": "host/b/arm" }
-  ]
-}"#;
-
-#[test]
-fn what_is_right_is_told_as_the_plan_that_would_be_carried_out() {
-    let file = parse(WIRED).unwrap();
-    let judged = file.judge(&processes(&["host"]));
-    assert_eq!((judged.problems, judged.unknown.len()), (vec![], 0));
-    let whole = plan_all(&processes(&["host"]), &file.requests()).unwrap();
-    assert_eq!(judged.plan, whole);
-}
-
-#[test]
-fn a_file_of_many_components_is_judged_at_once_and_a_hundred_of_their_mistakes_are_listed() {
-    // Each plan by itself would copy the graph, ten thousand times ten thousand components.
-    let of = |class: &str| {
-        let all: Vec<String> =
-            (0..10_000).map(|n| format!(r#""host/c{n}": {{ "class": "{class}" }}"#)).collect();
-        parse(&format!(r#"{{ "version": 1, "components": {{ {} }} }}"#, all.join(","))).unwrap()
-    };
-    let right = of("arm").judge(&processes(&["host"]));
-    assert_eq!((right.problems.len(), right.plan.changes.len()), (0, 30_000));
-    assert_eq!(of("leg").judge(&processes(&["host"])).problems.len(), 100);
-}
-
-#[test]
-fn every_refusal_is_listed_with_its_place_and_none_for_what_hangs_on_another() {
-    let wrong = [
-        (r#""host/a": { "class": "arm" }"#, r#""host/a": { "class": "leg" }"#),
-        (r#""gain": 2"#, r#""gain": -2"#),
-        (r#""start": false"#, r#""execution": { "rate_hz": 100000 }"#),
-        (
-            r#""connections": ["#,
-            r#""connections": [
-    { "client": "host/d/inputs", "server": "host/e/value" },
-    { "client": "host/d/robot", "server": "host/f/values" },"#,
-        ),
-        (
-            r#""components": {"#,
-            r#""components": {
-    "host/d": { "class": "arm" }, "host/e": { "class": "arm" },
-    "host/f": { "class": "arm", "config": { "gain": 1 } },"#,
-        ),
-    ];
-    let text = wrong.iter().fold(WIRED.to_owned(), |text, (part, by)| text.replacen(part, by, 1));
-    let judged = parse(&text).unwrap().judge(&processes(&["host"]));
-    let places: Vec<&str> = judged.problems.iter().map(|p| p.pointer.as_str()).collect();
-    assert_eq!(
-        places,
-        [
-            "/components/host~1a/class",
-            "/components/host~1b/config/gain",
-            "/components/host~1c/execution/rate_hz",
-            "/connections/0/client",
-        ],
-        "{:#?}",
-        judged.problems
-    );
-    assert!(judged.problems.iter().all(|p| p.line > 3 && !p.help.is_empty()), "{:#?}", judged.problems);
-    let unknown: Vec<String> = judged.unknown.iter().map(|(port, _)| port.to_string()).collect();
-    assert_eq!(unknown, ["host/f/values"], "its configuration may make it");
-    let done = crate::gcm::plan_lines(&judged.plan).join("; ");
-    assert!(done.contains("+ create host/f (toy/arm)") && !done.contains("host/a"), "{done}");
-}
-
-#[test]
-fn a_server_that_is_not_there_is_found_beside_a_client_that_nobody_knows_yet() {
-    let text = WIRED.replacen("host/b/input", "host/b/made", 1).replacen("host/a/value", "host/a/valeu", 1);
-    let judged = parse(&text).unwrap().judge(&processes(&["host"]));
-    let said: Vec<&str> = judged.problems.iter().map(|p| p.pointer.as_str()).collect();
-    assert_eq!(said, ["/connections/0/server"], "{:?}", judged.problems);
 }

@@ -97,6 +97,45 @@ fn what_is_saved_reads_as_written_by_hand_and_comes_up_again() {
     assert_eq!(again.grpc.component("device/robot")["execution"]["period"], "0.000500s");
 }
 
+#[test]
+fn what_a_configuration_made_what_failed_and_what_is_lost_is_saved_and_comes_up_again() {
+    let file = r#"{
+  "version": 1,
+  "processes": { "control": { "plugins": ["plugins"] }, "device": { "plugins": ["plugins"] } },
+  "components": {
+    "control/faulty": { "class": "fixture-chaos/chaos", "config": { "error_in": "step", "good_steps": 20 } },
+    "control/log": { "class": "recorder/recorder", "config": { "directory": "runs", "topics": ["a", "b"] } },
+    "device/wave": { "class": "sine/sine" }
+  },
+  "connections": [
+    { "client": "control/log/b", "server": "device/wave/value" }
+  ]
+}
+"#;
+    let plugins = ["sine", "recorder", "fixture_chaos"];
+    let without_restart =
+        file.replace(r#""device": {"#, r#""device": { "restart": { "max": 0, "within_s": 1 },"#);
+    let system = System::up_with(&plugins, &without_restart, &[]);
+    let (trocar, saved) = (system.trocar(), path(&system, "saved.json"));
+    eventually("one has failed", || match system.grpc.state("control/faulty").as_str() {
+        "FAULT" => Ok(()),
+        other => Err(other.to_owned()),
+    });
+    system.kill_until_failed("device");
+    let told = trocar.run(&["save", "-o", &saved]).ends_with(OK);
+    let told = told.says("2 processes, 3 components, 1 connection");
+    told.says("process device is not there to tell its plugin directories")
+        .says("control/log.directory = \"runs\"");
+    let text = fs::read_to_string(&saved).unwrap();
+    // Nothing is missing but what is told to be.
+    let completed = text.replace(r#""device": {}"#, r#""device": { "plugins": ["plugins"] }"#);
+    assert_eq!(completed, file, "{text}");
+    drop(system);
+    let again = System::up_with(&plugins, &completed, &[]);
+    again.trocar().run(&["check", &path(&again, "system.json")]).ends_with(OK);
+    assert_eq!(again.grpc.state("control/log"), "ACTIVE");
+}
+
 /// The processes of a saved system are in alphabetical order.
 fn sorted(file: &str) -> String {
     let processes = r#"{ "device": { "plugins": ["plugins"] }, "control": { "plugins": ["plugins"] } }"#;
