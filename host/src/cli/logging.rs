@@ -14,7 +14,7 @@ use log::{Level, LevelFilter, Log, Metadata, Record};
 use trocar_rt::os;
 
 use super::logs::clock;
-use super::out::paragraph;
+use super::out::{self, paragraph};
 use super::units::count;
 use crate::lcm::LogLine;
 
@@ -96,9 +96,11 @@ pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + Sync + 'static) {
     *readers = Readers::Told(Arc::new(tell));
 }
 
-/// Lines that a screen shows; the newest ones.
+/// Lines that a screen shows: what a person was warned of, and the newest of the log.
 #[derive(Clone, Default)]
 pub(super) struct Kept {
+    /// By [`warn`]: said once, and true as long as it runs.
+    pub(super) lasting: Vec<String>,
     pub(super) newest: VecDeque<String>,
     /// Number of all there were.
     pub(super) all: usize,
@@ -124,6 +126,14 @@ impl Diverted {
     }
 }
 
+/// Warns of something that holds from now on: on stderr, or among the lines that are kept for a screen.
+pub(super) fn warn(text: &str) {
+    match LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+        Some(kept) => kept.lasting.push(format!("warning: {}", paragraph(text))),
+        None => out::complain("warning", text),
+    }
+}
+
 /// The lines that are kept for a screen now.
 pub(super) fn kept() -> Kept {
     LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
@@ -132,10 +142,10 @@ pub(super) fn kept() -> Kept {
 impl Drop for Diverted {
     fn drop(&mut self) {
         let kept = LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
-        let mut text = String::new();
+        let mut text: String = kept.lasting.iter().map(|line| format!("{line}\n")).collect();
         if kept.all > kept.newest.len() {
             let before = count((kept.all - kept.newest.len()) as u64, "line");
-            text = format!("{before} before these:\n");
+            text.push_str(&format!("{before} before these:\n"));
         }
         kept.newest.iter().for_each(|line| text.push_str(&format!("{line}\n")));
         let _ = os::standard_error().write_all(text.as_bytes());

@@ -195,6 +195,7 @@ mod tests {
                 path: "host/s".into(),
                 state: "FAULT".into(),
                 fault: "panicked at src/lib.rs:3".into(),
+                plugin_version: "1.2.0-rc1".into(),
                 ..ComponentView::default()
             }],
             connections: Vec::new(),
@@ -202,6 +203,15 @@ mod tests {
         let text = render(&view, true, false);
         assert!(text.contains("FAULT: panicked at src/lib.rs:3"), "{text}");
         assert!(!text.contains("Connections"), "{text}");
+        let heads: Vec<&str> =
+            text.lines().filter(|line| !line.starts_with(' ') && !line.is_empty()).collect();
+        assert_eq!(
+            heads,
+            ["Processes", "Components", "Classes", "revision 7"],
+            "what there is before what could be"
+        );
+        let row = text.lines().find(|line| line.contains("host/s ")).unwrap_or_default();
+        assert!(row.contains("1.2.0-rc1"), "{text}");
         assert!(text.ends_with("revision 7\n"), "{text}");
     }
 

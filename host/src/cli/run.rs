@@ -136,7 +136,7 @@ pub(super) async fn bring_up(
     };
     for report in &executed.reports {
         for warning in &report.warnings {
-            out::complain("warning", &format!("{}: {warning}", report.id));
+            logging::warn(&format!("{}: {warning}", report.id));
         }
     }
     Ok(true)

@@ -17,6 +17,8 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
 use trocar_tests::{Built, World, eventually};
 
+use crate::realtime::rights::limit;
+
 /// A terminal of so many rows and columns, and a program at it.
 struct Terminal {
     child: Child,
@@ -33,7 +35,12 @@ impl Drop for Terminal {
 }
 
 impl Terminal {
-    fn run(world: &World, args: &[&str], rows: u16, columns: u16) -> Terminal {
+    fn run(
+        world: &World,
+        args: &[&str],
+        [rows, columns]: [u16; 2],
+        prepare: impl FnOnce(&mut Command),
+    ) -> Terminal {
         let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&ours).unwrap();
         unlockpt(&ours).unwrap();
@@ -44,6 +51,7 @@ impl Terminal {
         let mut command = Command::new(Built::trocar());
         command.args(args).current_dir(world.path("")).stdin(end(&its)).stdout(end(&its)).stderr(end(&its));
         command.env("XDG_STATE_HOME", world.path("xdg-state")).env_remove("TROCAR_GCM").env("TERM", "xterm");
+        prepare(&mut command);
         let child = command.spawn().unwrap();
         let shown = Arc::new(Mutex::new(String::new()));
         let into = shown.clone();
@@ -88,10 +96,12 @@ fn plain(line: &str) -> String {
     })
 }
 
+const DEMO: [&str; 3] = ["demo", "--listen", "127.0.0.1:0"];
+
 #[test]
 fn at_a_terminal_of_80_columns_what_to_try_stays_in_view_and_what_was_reached_stays_afterwards() {
     let world = World::new();
-    let demo = Terminal::run(&world, &["demo", "--listen", "127.0.0.1:0"], 24, 80);
+    let demo = Terminal::run(&world, &DEMO, [24, 80], |_| {});
     let drawn = eventually("rates are drawn", || {
         let drawn = last_drawn(&demo.written());
         let row = drawn.iter().find(|line| line.starts_with("host/ascan "));
@@ -117,4 +127,27 @@ fn at_a_terminal_of_80_columns_what_to_try_stays_in_view_and_what_was_reached_st
     assert!(after.contains("robot ") && after.contains(" steps in ") && after.contains("video "), "{after}");
     assert!(!after.contains("\x1b[H"), "nothing is drawn over it: {after}");
     assert_eq!(written.matches("\x1b[?1049h").count(), 1, "one screen");
+}
+
+#[test]
+fn what_the_machine_refused_while_it_came_up_is_in_view_and_on_record_afterwards() {
+    let world = World::new();
+    let demo = Terminal::run(&world, &DEMO, [30, 100], |command| limit(command, &[(libc::RLIMIT_RTPRIO, 0)]));
+    let warned = |line: &String| line.starts_with("warning: host/") && line.contains("real-time priority");
+    // Also when later warnings have come.
+    let drawn = eventually("the refusal is drawn below the rates", || {
+        let drawn = last_drawn(&demo.written());
+        let has_rates = drawn.iter().any(|line| line.starts_with("host/ascan ") && line.contains("Hz"));
+        if has_rates && drawn.iter().any(warned) { Ok(drawn) } else { Err(demo.written()) }
+    });
+    assert!(drawn.iter().any(|line| line.contains("while it came up, the first:")), "{drawn:#?}");
+    assert!(drawn[0].starts_with("trocar demo bscan is running"), "{drawn:#?}");
+    let written = demo.interrupted();
+    let (before, _) = written.split_once("\x1b[?1049h").expect("there is a screen");
+    assert!(
+        !before.contains("warning"),
+        "nothing is written below the screen, where nobody sees it: {before}"
+    );
+    let (_, after) = written.rsplit_once("\x1b[?1049l").expect("the other screen is left");
+    assert!(after.contains("warning: host/"), "{after}");
 }

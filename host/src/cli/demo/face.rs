@@ -117,23 +117,39 @@ impl<'a> Face<'a> {
     }
 }
 
-/// So many lines: what stays, the table, and below it the last warnings.
+/// So many lines: what stays, the table, and below it the warnings.
 fn laid_out(head: &str, table: &str, kept: &Kept, rows: usize) -> String {
     let head: Vec<&str> = head.lines().collect();
     let room = rows.saturating_sub(head.len() + 1);
-    let warned = kept.newest.len().min(WARNINGS).min(room.saturating_sub(LEAST));
-    let title = usize::from(warned > 0);
-    let shown = clipped(table, room - warned - title, ": trocar top");
+    let foot = foot(kept, room.saturating_sub(LEAST));
+    let shown = clipped(table, room - foot.len(), ": trocar top");
     let mut lines: Vec<String> = head.into_iter().map(str::to_owned).collect();
     lines.push(String::new());
     lines.extend(shown);
-    if warned > 0 {
-        let many =
-            if kept.all == 1 { "1 warning:".to_owned() } else { format!("{} warnings, the last:", kept.all) };
-        lines.push(style::paint(&many, style::WARN, style::stdout()));
-        lines.extend(kept.newest.iter().skip(kept.newest.len() - warned).cloned());
-    }
+    lines.extend(foot);
     lines.join("\n")
+}
+
+/// In so many lines: what was refused while it came up, which later warnings may follow from, and the last of these.
+fn foot(kept: &Kept, room: usize) -> Vec<String> {
+    let title = |text: String| style::paint(&text, style::WARN, style::stdout());
+    let mut lines = Vec::new();
+    if let Some(first) = kept.lasting.first().filter(|_| room >= 2) {
+        lines.push(title(match kept.lasting.len() {
+            1 => "1 warning while it came up:".to_owned(),
+            many => format!("{many} warnings while it came up, the first:"),
+        }));
+        lines.push(first.clone());
+    }
+    let newest = kept.newest.len().min(WARNINGS).min(room.saturating_sub(lines.len() + 1));
+    if newest > 0 {
+        lines.push(title(match kept.all {
+            1 => "1 warning:".to_owned(),
+            all => format!("{all} warnings, the last:"),
+        }));
+        lines.extend(kept.newest.iter().skip(kept.newest.len() - newest).cloned());
+    }
+    lines
 }
 
 #[cfg(test)]
@@ -141,7 +157,7 @@ mod tests {
     use super::*;
 
     fn kept(n: usize) -> Kept {
-        Kept { newest: (1..=n).map(|i| format!("warning {i}")).collect(), all: n }
+        Kept { newest: (1..=n).map(|i| format!("warning {i}")).collect(), all: n, lasting: Vec::new() }
     }
 
     fn table(n: usize) -> String {
@@ -160,8 +176,16 @@ mod tests {
         );
         let quiet = laid_out("head", "row 1\nrow 2", &kept(0), 24);
         assert_eq!(quiet, "head\n\nrow 1\nrow 2");
-        for rows in 0..12 {
-            laid_out("head\naddress", &table(30), &kept(5), rows);
+        let refused = Kept { lasting: vec!["no priority".into(), "no lock".into()], ..kept(5) };
+        let text = laid_out("head", &table(30), &refused, 14);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(
+            (lines.len(), &lines[8..11]),
+            (14, &["2 warnings while it came up, the first:", "no priority", "5 warnings, the last:"][..])
+        );
+        for rows in 0..16 {
+            let text = laid_out("head\naddress", &table(30), &refused, rows);
+            assert!(rows < 4 || text.lines().count() <= rows, "{rows}: {text}");
         }
     }
 }

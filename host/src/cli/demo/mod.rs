@@ -151,9 +151,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
     };
     let done = match came_up {
         Some(Ok(up)) => {
-            for warning in &up.warnings {
-                out::complain("warning", warning);
-            }
+            up.warnings.iter().for_each(|warning| logging::warn(warning));
             let how = format!(" in {} processes, GCM {}", file.processes.len(), up.addr);
             let head = show.begin(&how, &up.addr);
             let from = show.look(&up.addr).await;
