@@ -6,7 +6,7 @@
 
 Blocks of `sh` are run whole by bash, and have to succeed; one that ends in `trocar demo` or `trocar host` is a terminal of its own and ends by
 Ctrl-C with its section. Of blocks of `console` each line behind `$ ` is run, and the lines below it have to be in what it says, at once or
-when it is typed again.
+when it is typed again. What a sentence names in passing (`trocar help`) is not run: its subcommand and its flags have to exist.
 
 Invariant: no command of the README is left out but those of NOT_HERE, each with its reason; what cannot be had is said and counted as skipped.
 """
@@ -34,6 +34,8 @@ NOT_HERE = {
     "cargo build --release": "the gate has built it so",
     "./tests/run": "this suite is a part of it",
 }
+# Sections of other pages that are typed behind those of the README.
+ELSEWHERE = {"docs/RECORDER.md": "As a component"}
 # A prompt of Python is typed by the suite `python`, which reads the same block.
 PROMPT = "In [1]:"
 
@@ -46,6 +48,19 @@ def sections(text):
         blocks = [(kind, code.splitlines()) for kind, code in re.findall(r"^```(sh|console)\n(.*?)^```", body, re.M | re.S)]
         if blocks:
             found.append((heading, blocks))
+    return found
+
+
+def in_passing(text):
+    """The commands of trocar that sentences name, without their values: (command, its words, its flags)."""
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.M | re.S)
+    found = {}
+    for span in re.findall(r"`([^`]+)`", prose):
+        command = re.sub(r"^source <\((.*)\)$", r"\1", " ".join(span.split()))
+        if command.startswith("trocar "):
+            words = command.split()[1:]
+            flags = [word.partition("=")[0] for word in words if word.startswith("-")]
+            found[command] = ([word for word in words if not word.startswith("-")], flags)
     return found
 
 
@@ -154,6 +169,19 @@ def typed(terminal, blocks):
             terminal.run("\n".join(lines))
 
 
+def exist(terminal, commands):
+    """Each command is one that `trocar help` knows, with the flags it is given."""
+    for command, (words, flags) in commands.items():
+        first, *more = words
+        said = terminal.run(f"trocar help {first}")
+        # `plugin new`: a subcommand that has some of its own lists them.
+        if more and re.search(r"^Commands:", said, re.M):
+            said = terminal.run(f"trocar help {first} {more[0]}")
+        missing = [flag for flag in flags if not re.search(rf"(^|[ ,]){re.escape(flag)}(?![\w-])", said, re.M)]
+        if missing:
+            raise AssertionError(f"`{command}`: there is no {', '.join(missing)} in\n{said}")
+
+
 def shown(line, said):
     """Whether what was said has this line, whatever its blanks; … stands for any text of one word."""
     wanted = re.escape(" ".join(line.split())).replace("…", r"\S*")
@@ -181,7 +209,12 @@ def main():
     words = [word for word in sys.argv[1:] if word != "--exact"]
     means = (lambda word, name: word == name) if exact else (lambda word, name: word in name)
     asked = lambda name: not words or any(means(word, name) for word in words)
-    found = {name_of(heading): blocks for heading, blocks in sections((ROOT / "README.md").read_text(encoding="utf-8"))}
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = {name_of(heading): (typed, blocks) for heading, blocks in sections(text)}
+    for page, heading in ELSEWHERE.items():
+        blocks = dict(sections((ROOT / page).read_text(encoding="utf-8")))[heading]
+        found[name_of(f"{pathlib.Path(page).stem} {heading}")] = (typed, blocks)
+    found[name_of("What sentences name")] = (exist, in_passing(text))
     if unknown := [word for word in words if not any(means(word, name) for name in found)]:
         print(f"suite.py: no section is called {', '.join(unknown)}", file=sys.stderr)
         sys.exit(2)
@@ -198,13 +231,13 @@ def main():
         terminal = Terminal(pathlib.Path(directory))
         try:
             last = max((i for i, name in enumerate(found) if asked(name)), default=-1)
-            for i, (name, blocks) in enumerate(found.items()):
+            for i, (name, (follow, blocks)) in enumerate(found.items()):
                 if i > last:
                     break
                 why = ""
                 try:
                     try:
-                        typed(terminal, blocks)
+                        follow(terminal, blocks)
                     finally:
                         terminal.end()
                     word = "ok"

@@ -154,9 +154,10 @@ class Recording(Mapping, Told):
             if name in self._pairs and self._chosen is None:
                 return self._pairs[name]
         known = [*topics, *self._pairs]
-        near = nearest(topic if topic.startswith("/") else f"/{topic}", known)
-        shown = ", ".join(known[:40]) + (f" and {len(known) - 40} more" if len(known) > 40 else "")
-        raise KeyError(f"{self.file} has no topic {topic!r}; it has {shown or 'none'}{near}")
+        ends = next((name for name in known if name.endswith(f"/{topic}")), None)
+        near = f"; did you mean {ends}?" if ends else nearest(topic if topic.startswith("/") else f"/{topic}", known)
+        shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
+        raise KeyError(f"{self.file} has no topic {topic!r}{near or ';'} it has {shown or 'none'}")
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.topics)
