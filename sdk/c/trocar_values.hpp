@@ -1,5 +1,5 @@
-// Payload types of variable length: text of up to N bytes and lists of up to N items, as the manifest's {"text":N} and
-// {"list":T,"n":N}.
+// Payload types of variable length, text of up to N bytes and lists of up to N items, as the manifest's
+// {"text":N} and {"list":T,"n":N}; and the time between two stamps.
 //
 // Invariant: the length is never above N and what lies behind it is zero, so equal values have equal bytes.
 #ifndef TROCAR_VALUES_HPP
@@ -9,6 +9,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <optional>
 #include <string_view>
 #include <type_traits>
 
@@ -56,6 +57,14 @@ template <class T, size_t N> struct List {
 };
 
 static_assert(sizeof(Text<64>) == 72 && sizeof(List<double, 16>) == 136, "a length of 8 bytes and the room");
+
+// Seconds by which stamp `later` is after stamp `earlier` (ns): the time between two samples, for filters.
+// Nothing where the stamps do not tell it: one of them is 0 (the first sample has none before it), they are
+// equal, or in the other order.
+inline std::optional<double> seconds_after(uint64_t later, uint64_t earlier) {
+    if (earlier == 0 || later <= earlier) return std::nullopt;
+    return static_cast<double>(later - earlier) * 1e-9;
+}
 
 } // namespace trocar
 

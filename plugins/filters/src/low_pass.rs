@@ -14,8 +14,7 @@ struct Cfg {
 /// First-order low-pass for a force sensor, with an overload event.
 #[derive(Component)] #[component(rate_hz = 1000)]
 struct LowPass {
-    #[input] raw: In<Force>,
-    #[output] filtered: Out<Force>,
+    #[input] raw: In<Force>, #[output] filtered: Out<Force>,
     #[required] hold: Function<f64>,
     #[event("ctl")] overload: Event<f64>,
     #[state] y: Force, #[state] rejected: u64, // published after each step
@@ -33,8 +32,9 @@ impl Component for LowPass {
     fn step(&mut self, t: &Tick) -> Result {
         let Some(x) = self.raw.fresh() else { return Ok(()) };
         if !x.f.iter().all(|f| f.abs() < 1e9) { self.rejected += 1; return Ok(()) } // NaN would stay for ever
-        let a = 1.0 - (-std::f64::consts::TAU * self.cfg.cutoff_hz * t.period_s()).exp();
-        for i in 0..3 { self.y.f[i] += a * (x.f[i] - self.y.f[i]); }
+        let dt_s = x.stamp.seconds_after(self.y.stamp).unwrap_or(t.period_s()); // between samples, not steps
+        let a = 1.0 - (-std::f64::consts::TAU * self.cfg.cutoff_hz * dt_s).exp();
+        self.y = Force { stamp: x.stamp, f: [0, 1, 2].map(|i| self.y.f[i] + a * (x.f[i] - self.y.f[i])) };
         if self.y.f[2] > self.cfg.limit { self.overload.emit(self.y.f[2]); self.hold.send(0.0); }
         self.filtered.write(&self.y);
         Ok(())

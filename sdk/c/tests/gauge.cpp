@@ -238,6 +238,10 @@ void values() {
     expect(list.push(1.0) && list.push(2.0) && !list.push(3.0) && list.size() == 2 && list[1] == 2.0, "a list has its room");
     list.clear();
     expect(list.size() == 0 && list.room[1] == 0.0, "behind a list all is zero");
+    expect(trocar::seconds_after(1500000000, 1000000000) == 0.5, "the time between two samples");
+    for (const uint64_t later : {uint64_t{0}, uint64_t{6}, uint64_t{7}})
+        expect(!trocar::seconds_after(later, 7), "an earlier stamp, or the same, tells no time between samples");
+    expect(!trocar::seconds_after(7, 0), "the first sample has none before it");
 }
 
 int main() {

@@ -29,10 +29,19 @@ impl Stamp {
         self.0 != 0
     }
 
-    /// Seconds from `earlier` to this stamp; negative when it is the later one.
+    /// Seconds from `earlier` to this stamp; negative when it is the later one. Compare
+    /// [`Stamp::seconds_after`].
     #[inline]
     pub fn seconds_since(self, earlier: Stamp) -> f64 {
         self.0.wrapping_sub(earlier.0).cast_signed() as f64 * 1e-9
+    }
+
+    /// Seconds by which this stamp is after `earlier`: the time between two samples, for filters. `None` where
+    /// the stamps do not tell it: one of them is invalid (the first sample has none before it), they are
+    /// equal, or this is the earlier one.
+    #[inline]
+    pub const fn seconds_after(self, earlier: Stamp) -> Option<f64> {
+        if earlier.0 == 0 || self.0 <= earlier.0 { None } else { Some((self.0 - earlier.0) as f64 * 1e-9) }
     }
 
     /// Whether this stamp lies more than `by_s` seconds after `now`. Unlike a difference, right for the largest stamps, too.
@@ -375,5 +384,16 @@ mod tests {
     fn stamps_differ_in_signed_seconds() {
         let (a, b) = (Stamp::from_ns(1_000_000_000), Stamp::from_ns(1_500_000_000));
         assert_eq!((b.seconds_since(a), a.seconds_since(b)), (0.5, -0.5));
+    }
+
+    #[test]
+    fn the_time_between_samples_is_known_only_of_two_valid_stamps_in_order() {
+        let (a, b) = (Stamp::from_ns(1_000_000_000), Stamp::from_ns(1_500_000_000));
+        assert_eq!(b.seconds_after(a), Some(0.5));
+        for (later, earlier) in [(a, b), (a, a), (a, Stamp::INVALID), (Stamp::INVALID, a)] {
+            assert_eq!(later.seconds_after(earlier), None, "{later:?} after {earlier:?}");
+        }
+        let all = Stamp::from_ns(u64::MAX).seconds_after(Stamp::from_ns(1));
+        assert!(all.is_some_and(|s| s > 1.8e10), "{all:?}");
     }
 }

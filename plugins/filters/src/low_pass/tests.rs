@@ -31,6 +31,39 @@ fn a_sample_is_filtered_once_however_often_the_component_steps() {
     assert_eq!(bench.outputs::<Force>("filtered").len(), 1);
 }
 
+/// What the filter at 1 kHz makes of a step to 1 N, each sample `dt_ns` after the one before.
+fn step_response(dt_ns: u64) -> Vec<f64> {
+    let mut bench = Bench::<LowPass>::new(r#"{"cutoff_hz": 10}"#);
+    for n in 0..20 {
+        let stamp = Stamp::from_ns(1_000_000_000 + n * dt_ns);
+        bench.push("raw", Force { stamp, f: [0.0, 0.0, if n == 0 { 0.0 } else { 1.0 }] });
+        bench.step(dt_ns.div_ceil(1_000_000));
+    }
+    bench.outputs::<Force>("filtered").iter().map(|y| y.f[2]).collect()
+}
+
+#[test]
+fn the_corner_is_the_one_asked_for_whatever_the_rate_of_the_source() {
+    for dt_ns in [250_000, 1_000_000, 5_000_000, 40_000_000] {
+        let told = step_response(dt_ns);
+        assert_eq!(told.len(), 20);
+        for (n, y) in told.iter().enumerate() {
+            let expected = 1.0 - (-std::f64::consts::TAU * 10.0 * n as f64 * dt_ns as f64 * 1e-9).exp();
+            assert!((y - expected).abs() < 1e-9, "{dt_ns} ns apart, sample {n}: {y}, not {expected}");
+        }
+    }
+}
+
+#[test]
+fn what_was_filtered_has_the_time_of_its_sample() {
+    let mut bench = Bench::<LowPass>::new("{}");
+    let stamp = Stamp::from_ns(1_234_567);
+    bench.push("raw", Force { stamp, f: [1.0; 3] });
+    bench.step(1);
+    assert_eq!(bench.samples::<Force>("filtered")[0].1, stamp);
+    assert_eq!(bench.read::<(), Force>("value", ()).unwrap().stamp, stamp);
+}
+
 #[test]
 fn a_sample_carries_the_time_of_its_step_when_it_has_no_stamp_of_its_own() {
     let mut bench = Bench::<LowPass>::new("{}");

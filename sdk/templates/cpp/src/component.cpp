@@ -35,11 +35,11 @@ struct {{Name}} : trocar::Component {
 
     // On the real-time path: no allocation, no lock, no waiting.
     void step(const trocar_tick &tick) override {
+        const double period_s = static_cast<double>(tick.period_ns) * 1e-9;
         // Each sample once, also those of a moment in which this was late: the manifest asks for a "fifo".
         for (Scalar x; raw.next(x);) {
             // By the samples' own times: a source may be slower than this component.
-            const bool has_times = latest.stamp != 0 && x.stamp > latest.stamp;
-            const double dt_s = static_cast<double>(has_times ? x.stamp - latest.stamp : tick.period_ns) * 1e-9;
+            const double dt_s = trocar::seconds_after(x.stamp, latest.stamp).value_or(period_s);
             const double a = 1.0 - std::exp(-2.0 * 3.14159265358979323846 * cutoff_hz * dt_s);
             latest.stamp = x.stamp;
             latest.value += a * (x.value - latest.value);

@@ -54,9 +54,8 @@ impl Component for {{Name}} {
     fn step(&mut self, tick: &Tick) -> Result {
         while let Some(raw) = self.raw.next() {
             // By the samples' own times: a source may be slower than this component.
-            let apart_s = raw.stamp.seconds_since(self.latest.stamp);
-            let has_times = self.latest.stamp.is_valid() && apart_s > 0.0;
-            let dt_s = if has_times { apart_s } else { tick.period_s() };
+            let dt_s = raw.stamp.seconds_after(self.latest.stamp);
+            let dt_s = dt_s.unwrap_or(tick.period_s());
             let a = 1.0 - (-TAU * self.settings.cutoff_hz * dt_s).exp();
             self.latest.stamp = raw.stamp;
             self.latest.value += a * (raw.value - self.latest.value);
