@@ -44,7 +44,7 @@ def server_interface():
 class Fake:
     """``answers`` maps ``Service/Method`` to a function of (request, context)."""
 
-    def __init__(self, credentials=None, port=0):
+    def __init__(self, credentials=None, port=0, door=None):
         self.answers = {
             "GcmService/Watch": self.watch,
             "GuestService/Join": self.join,
@@ -63,6 +63,8 @@ class Fake:
             self.port = self.server.add_insecure_port(f"127.0.0.1:{port}")
         else:
             self.port = self.server.add_secure_port(f"127.0.0.1:{port}", credentials)
+        if door is not None:
+            self.server.add_insecure_port(f"unix:{door}")
         self.address = f"127.0.0.1:{self.port}"
         self.server.start()
 

@@ -20,7 +20,7 @@ from ._follow import Follower, Item
 from ._notes import RecordingNote
 from ._proxy import Command, Event, Interface
 from ._recording import Recording, read
-from ._session import Session, connect
+from ._session import Session, connect, stop
 from ._topic import Topic
 from ._values import Frame, Record, Rows
 
@@ -45,4 +45,5 @@ __all__ = [
     "TrocarError",
     "connect",
     "read",
+    "stop",
 ]

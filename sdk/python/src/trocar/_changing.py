@@ -23,6 +23,14 @@ _WHOLE = 60.0
 """For a whole system, s."""
 
 
+def named(verb: str, paths: tuple[Any, ...]) -> list[str]:
+    """The components that a verb is for."""
+    __tracebackhide__ = True
+    if not paths:
+        raise invalid(f'{verb}: name components, e.g. "host/robot" or "host/**"', field="paths")
+    return [p if isinstance(p, str) else path_of(p, (2,)) for p in paths]
+
+
 class Changing:
     """The verbs of ``Session`` that change the system."""
 
@@ -67,7 +75,9 @@ class Changing:
         return self._each("Start", paths, dry_run)
 
     def stop(self, *paths: Any, dry_run: bool = False) -> Answer:
-        """Stops components; their devices are made safe."""
+        """Stops components; their devices are made safe. Asked at a host of this user, it goes by a socket of its own and waits for
+        no other call; ``trocar.stop`` needs no session.
+        """
         __tracebackhide__ = True
         return self._each("Stop", paths, dry_run)
 
@@ -190,10 +200,7 @@ class Changing:
 
     def _each(self, verb: str, paths: tuple[Any, ...], dry_run: bool) -> Answer:
         __tracebackhide__ = True
-        if not paths:
-            raise invalid(f'{verb}: name components, e.g. "host/robot" or "host/**"', field="paths")
-        names = [p if isinstance(p, str) else path_of(p, (2,)) for p in paths]
-        return self._change(verb, {"paths": names}, None, None, dry_run)
+        return self._change(verb, {"paths": named(verb, paths)}, None, None, dry_run)
 
     def _change(self, verb: str, fields: dict[str, Any], config: Any, execution: Any, dry_run: bool) -> Answer:
         __tracebackhide__ = True
@@ -202,6 +209,9 @@ class Changing:
             request.config.CopyFrom(_values.to_wire_struct(config, "config"))
         if execution is not None:
             request.execution.CopyFrom(_system_file.execution(execution, "execution"))
-        answer = self._wire.call(f"GcmService/{verb}", request, _PATIENCE)
+        if verb == "Stop":
+            answer = self._wire.stop(request, _PATIENCE)
+        else:
+            answer = self._wire.call(f"GcmService/{verb}", request, _PATIENCE)
         self._seen(0 if dry_run else answer.revision)
         return Answer(verb, answer, dry_run)

@@ -16,14 +16,14 @@ from typing import Any
 import grpc
 
 from . import _ipython, _nodes, _proto
-from ._changing import _PATIENCE, Changing
+from ._changing import _PATIENCE, Changing, named
 from ._errors import TrocarError, invalid
 from ._graph import Graph
 from ._looking import Looking
 from ._paths import nearest, path_of
 from ._place import Place
 from ._proxy import Command, Interface
-from ._show import Tree
+from ._show import Answer, Tree
 from ._wire import Wire
 
 DEFAULT_ADDRESS = "127.0.0.1:50551"
@@ -49,10 +49,7 @@ def connect(
     how long connecting may take, s. ``say`` hears of the GCM lost and found (stderr otherwise). ``options`` go to grpc's channel.
     """
     __tracebackhide__ = True
-    where = address or os.environ.get("TROCAR_GCM") or DEFAULT_ADDRESS
-    if not isinstance(where, str):
-        raise invalid(f'address is {where!r}; write "HOST:PORT"', field="address")
-    where = where[len("http://") :] if where.startswith("http://") else where
+    where = _where(address)
     if not 0 < deadline <= 60:
         raise invalid(f"deadline is {deadline!r}; give seconds, above 0 and at most 60", field="deadline")
     session = Session(Wire(where, credentials, options), name, deadline, say)
@@ -69,6 +66,28 @@ def connect(
         raise
     _ipython.install()
     return session
+
+
+def stop(*paths: Any, address: str | None = None, dry_run: bool = False) -> Answer:
+    """Stops components without a session: ``trocar.stop("host/**")``. ``address`` is as in ``connect``.
+
+    At a host of this user it goes by a socket that is for Stop alone, also while the port has no connection left for a session.
+    """
+    __tracebackhide__ = True
+    request = _proto.message("StopRequest")(paths=named("Stop", paths), validate_only=dry_run)
+    wire = Wire(_where(address))
+    try:
+        return Answer("Stop", wire.stop(request, _PATIENCE), dry_run)
+    finally:
+        wire.close()
+
+
+def _where(address: str | None) -> str:
+    __tracebackhide__ = True
+    where = address or os.environ.get("TROCAR_GCM") or DEFAULT_ADDRESS
+    if not isinstance(where, str):
+        raise invalid(f'address is {where!r}; write "HOST:PORT"', field="address")
+    return where[len("http://") :] if where.startswith("http://") else where
 
 
 class Session(Changing, Looking):

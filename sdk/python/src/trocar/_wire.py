@@ -1,7 +1,8 @@
 """The channels to the GCM: unary calls with deadlines, streams, and nothing of grpc beyond this file's callers.
 
 Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` here and nowhere else. Calls have a connection of
-their own, so that no number of streams keeps a Stop waiting.
+their own, so that no number of streams keeps a Stop waiting;
+a Stop goes by the socket for Stop alone where it is there.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import grpc
 
 from . import _proto
+from ._door import stop_doors
 from ._errors import TrocarError, from_rpc
 
 LARGEST = 256 << 20
@@ -65,11 +67,7 @@ class Wire:
     def _unary_of(self, name: str) -> Any:
         found = self._unary.get(name)
         if found is None:
-            m = _proto.METHODS[name]
-            found = self.channel.unary_unary(
-                m.path, request_serializer=m.request.SerializeToString, response_deserializer=m.response.FromString
-            )
-            self._unary[name] = found
+            found = self._unary[name] = _unary(self.channel, name)
         return found
 
     def call(self, name: str, request: Any, timeout: float) -> Any:
@@ -80,6 +78,27 @@ class Wire:
         except (grpc.RpcError, ValueError) as e:
             error = self.error(e, name)
         raise error
+
+    def stop(self, request: Any, timeout: float) -> Any:
+        """Asks for a Stop: by the socket that a host of this user has for that alone, so that it waits for nobody's calls and
+        connections; where there is none, as every call.
+        """
+        __tracebackhide__ = True
+        name = "GcmService/Stop"
+        # A path would be no name of a host.
+        options = [*self._merged, ("grpc.use_local_subchannel_pool", 1), ("grpc.default_authority", "localhost")]
+        for path in stop_doors(self.address) if self._credentials is None and not self.closed else ():
+            channel = grpc.insecure_channel(f"unix:{path}", options)
+            try:
+                return _unary(channel, name)(request, timeout=timeout, metadata=self._metadata)
+            except grpc.RpcError as e:
+                error = self.error(e, name)
+            finally:
+                channel.close()
+            # What a killed host left refuses at once.
+            if error.reason != "GCM_UNREACHABLE":
+                raise error
+        return self.call(name, request, timeout)
 
     def begin(self, name: str, request: Any, timeout: float) -> Any:
         """Asks and hands back grpc's future."""
@@ -163,6 +182,11 @@ class Wire:
         self.channel.close()
         for carrier in carriers:
             carrier.channel.close()
+
+
+def _unary(channel: Any, name: str) -> Any:
+    m = _proto.METHODS[name]
+    return channel.unary_unary(m.path, request_serializer=m.request.SerializeToString, response_deserializer=m.response.FromString)
 
 
 class _Carrier:

@@ -59,6 +59,21 @@ def test_many_follows_keep_no_call_of_their_session_waiting(system, ire):
         f.close()
 
 
+def test_a_stop_reaches_its_host_when_the_port_does_not(system, ire, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(system.directory / "state"))
+    with system.connect() as cut:
+        # This session's calls come to the port no more, as where all connections there are taken.
+        cut._wire.channel.close()
+        with pytest.raises(trocar.TrocarError):
+            cut.start("ProcessServer/Server")
+        assert cut.stop("ProcessServer/Server").plan
+    assert ire.state("ProcessServer/Server") == "STOPPED{requested}"
+    eventually("it runs again", lambda: ire.start("ProcessServer/Server"))
+    assert trocar.stop("ProcessServer/Server", address=system.address).failed == {}
+    assert ire.state("ProcessServer/Server") == "STOPPED{requested}"
+    eventually("it runs again", lambda: ire.start("ProcessServer/Server"))
+
+
 def test_programs_that_are_started_beside_a_session_run_undisturbed(system):
     # By fork: newer versions of subprocess have a way without, which pty and others do not take.
     code = """
