@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 /// Layout of memory that two processes share, and the meaning of its words; both must have the same.
-pub const LAYOUT: u32 = 3;
+pub const LAYOUT: u32 = 4;
 
 /// Bytes of a name on a card.
 const MOST_NAME: usize = 128;

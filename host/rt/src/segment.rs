@@ -17,7 +17,7 @@ use crate::wake::Waker;
 /// "trocarLK" of the first word.
 const MAGIC: u64 = u64::from_le_bytes(*b"trocarLK");
 /// How parts are laid out; both ends must have the same.
-pub const LAYOUT: u32 = 2;
+pub const LAYOUT: u32 = 3;
 /// Rows of the table behind a read: its reader is never lapped by less than three publications.
 const READ_ROWS: usize = 4;
 

@@ -41,7 +41,7 @@ fn stream(payload: Payload, queue: Queue) -> (StreamWriter, StreamReader, Arc<Fa
 }
 
 fn meta(seq: u64) -> Meta {
-    Meta { stamp_ns: 1000 + seq, seq }
+    Meta { stamp_ns: 1000 + seq, came_ns: 0, seq }
 }
 
 #[test]

@@ -25,7 +25,7 @@ fn frame(pool: &Arc<FramePool>, seq: u64) -> Option<Frame> {
 }
 
 fn push(writer: &StreamWriter, frame: &Frame, seq: u64) -> Pushed {
-    writer.push_frame(frame.clone(), Meta { stamp_ns: 0, seq })
+    writer.push_frame(frame.clone(), Meta { stamp_ns: 0, came_ns: 0, seq })
 }
 
 fn next(reader: &mut StreamReader) -> Option<u64> {
@@ -133,7 +133,10 @@ fn plain_samples_and_frames_of_an_ample_pool_fill_the_whole_queue() {
         assert_eq!(rest(&mut reader), [1, 2, 3, 4]);
         let (writer, mut reader) = stream_link(Payload::Plain { bytes: 8 }, queue(drop));
         for seq in 1..=4u64 {
-            assert_eq!(writer.push(&seq.to_ne_bytes(), Meta { stamp_ns: 0, seq }), Pushed::Queued);
+            assert_eq!(
+                writer.push(&seq.to_ne_bytes(), Meta { stamp_ns: 0, came_ns: 0, seq }),
+                Pushed::Queued
+            );
         }
         assert_eq!(rest(&mut reader), [1, 2, 3, 4]);
     }
@@ -153,7 +156,7 @@ fn a_queue_under_load_gives_up_frames_exactly() {
             scope.spawn(|| {
                 for seq in 1..=FRAMES {
                     let made = frame(&pool, seq).unwrap_or_else(|| panic!("no slot for frame {seq}"));
-                    let _ = writer.push_frame(made, Meta { stamp_ns: 0, seq });
+                    let _ = writer.push_frame(made, Meta { stamp_ns: 0, came_ns: 0, seq });
                     if seq % 16 == 0 {
                         thread::yield_now();
                     }

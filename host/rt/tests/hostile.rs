@@ -29,7 +29,7 @@ fn again(region: &Region, bytes: usize) -> Arc<Region> {
 }
 
 fn meta(seq: u64) -> Meta {
-    Meta { stamp_ns: seq, seq }
+    Meta { stamp_ns: seq, came_ns: 0, seq }
 }
 
 struct Random(u64);

@@ -131,7 +131,7 @@ fn samples_cross_the_memory_with_their_gaps() {
     let out = Stream::<StreamWriter>::create(shape, AGREED, &Arc::new(FarPools::default())).unwrap();
     let mut into = Stream::<StreamReader>::open(fd(out.fd()), shape, AGREED, &FarViews::new(0)).unwrap();
     for seq in 1..=3 {
-        let pushed = out.end.push(&[seq as u8; 8], Meta { stamp_ns: seq, seq });
+        let pushed = out.end.push(&[seq as u8; 8], Meta { stamp_ns: seq, came_ns: 0, seq });
         assert_eq!(pushed, if seq == 3 { Pushed::DroppedOldest } else { Pushed::Queued });
         out.newest_ns.set(seq);
         out.for_reader.notify();

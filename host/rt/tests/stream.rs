@@ -16,7 +16,7 @@ fn fifo(depth: usize, drop: DropPolicy) -> Queue {
 }
 
 fn push(writer: &StreamWriter, seq: u64) -> Pushed {
-    writer.push(&seq.to_ne_bytes(), Meta { stamp_ns: seq, seq })
+    writer.push(&seq.to_ne_bytes(), Meta { stamp_ns: seq, came_ns: 0, seq })
 }
 
 fn next(reader: &mut StreamReader) -> Option<u64> {
@@ -112,7 +112,7 @@ fn what_does_not_fit_the_link_is_refused_and_counted() {
 #[test]
 fn samples_of_no_bytes_and_shorter_ones_are_samples() {
     let (writer, mut reader) = stream_link(Payload::Plain { bytes: 0 }, Queue::Latest);
-    assert_eq!(writer.push(&[], Meta { stamp_ns: 1, seq: 1 }), Pushed::Queued);
+    assert_eq!(writer.push(&[], Meta { stamp_ns: 1, came_ns: 0, seq: 1 }), Pushed::Queued);
     assert_eq!(reader.latest().map(|s| s.data.len()), Some(0));
     let (writer, mut reader) = stream_link(PLAIN, Queue::Latest);
     let _ = writer.push(&[5; 3], Meta::default());
@@ -126,7 +126,7 @@ fn frames_pass_by_handle_and_go_back_when_the_reader_goes_on() {
         let mut writing = pool.loan().unwrap();
         writing.parts_mut().0.fill(n);
         writing.parts_mut().1.fill(n);
-        writer.push_frame(writing.freeze(16), Meta { stamp_ns: 0, seq: u64::from(n) })
+        writer.push_frame(writing.freeze(16), Meta { stamp_ns: 0, came_ns: 0, seq: u64::from(n) })
     };
     for queue in [Queue::Latest, fifo(1, DropPolicy::DropOldest)] {
         let (writer, mut reader) = stream_link(Payload::Frame, queue);
@@ -205,7 +205,7 @@ fn every_sample_is_seen_or_counted(queue: Queue, newest: bool) {
         scope.spawn(|| {
             for seq in 1..=SAMPLES {
                 let data = [seq as u8; BYTES];
-                let _ = writer.push(&data, Meta { stamp_ns: seq * 2, seq });
+                let _ = writer.push(&data, Meta { stamp_ns: seq * 2, came_ns: 0, seq });
                 if seq % 16 == 0 {
                     thread::yield_now();
                 }
@@ -338,7 +338,7 @@ proptest! {
             match op {
                 0 | 1 => {
                     seq += 1;
-                    let (data, meta) = (seq.to_ne_bytes(), Meta { stamp_ns: seq, seq });
+                    let (data, meta) = (seq.to_ne_bytes(), Meta { stamp_ns: seq, came_ns: 0, seq });
                     if op == 0 {
                         let _ = writer.push(&data, meta);
                     } else {
@@ -367,7 +367,7 @@ proptest! {
         prop_assert_eq!((stats.pushed, stats.taken + stats.dropped), (seq, seq));
         let counters = reader.counters();
         // SAFETY: as above.
-        let _ = unsafe { writer.push_here(&0u64.to_ne_bytes(), Meta { stamp_ns: 0, seq: seq + 1 }) };
+        let _ = unsafe { writer.push_here(&0u64.to_ne_bytes(), Meta { stamp_ns: 0, came_ns: 0, seq: seq + 1 }) };
         drop(reader);
         prop_assert_eq!(counters.stats().dropped, stats.dropped + 1, "what nobody took counts as dropped");
     }
@@ -375,7 +375,7 @@ proptest! {
 
 #[test]
 fn what_is_no_plain_sample_of_a_latest_link_goes_the_common_way() {
-    let meta = |seq| Meta { stamp_ns: 0, seq };
+    let meta = |seq| Meta { stamp_ns: 0, came_ns: 0, seq };
     let (writer, mut reader) = stream_link(PLAIN, fifo(2, DropPolicy::DropNewest));
     for (seq, pushed) in [(1, Pushed::Queued), (2, Pushed::Queued), (3, Pushed::DroppedNewest)] {
         // SAFETY: this thread holds the reader.

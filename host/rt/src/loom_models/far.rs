@@ -55,7 +55,8 @@ fn loom_a_sample_of_another_process_is_whole_and_stays() {
         let mut reader = far_reader(&mut Layout::of_other_end(&region), payload, Queue::Latest, &views);
         let other = thread::spawn(move || {
             for seq in 1..=2u64 {
-                let _: Pushed = writer.push(&(seq * 10).to_ne_bytes(), Meta { stamp_ns: seq, seq });
+                let _: Pushed =
+                    writer.push(&(seq * 10).to_ne_bytes(), Meta { stamp_ns: seq, came_ns: 0, seq });
             }
         });
         for _ in 0..2 {
@@ -98,7 +99,7 @@ fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
         for seq in 1..=2 {
             if let Some(writing) = pool.loan() {
                 content.set(seq);
-                let _: Pushed = writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, seq });
+                let _: Pushed = writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, came_ns: 0, seq });
             }
         }
         other.join().unwrap();
@@ -113,7 +114,8 @@ fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
 fn loom_frames_are_taken_back_beside_a_writer_that_goes_on() {
     model_within(3, || {
         let (pool, pools, writer, mut reader) = frames(2);
-        let frame = |seq| (pool.loan().map(|writing| writing.freeze(0)), Meta { stamp_ns: 0, seq });
+        let frame =
+            |seq| (pool.loan().map(|writing| writing.freeze(0)), Meta { stamp_ns: 0, came_ns: 0, seq });
         let (first, meta) = frame(1);
         assert_eq!(writer.push_frame(first.expect("both are free"), meta), Pushed::Queued);
         assert!(reader.next().is_some());

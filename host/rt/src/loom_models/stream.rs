@@ -12,7 +12,7 @@ fn samples_come_in_order_and_all_are_counted(queue: Queue) {
         let (writer, mut reader) = stream_link(Payload::Plain { bytes: 8 }, queue);
         let thread = thread::spawn(move || {
             for seq in 1..=3u64 {
-                let _ = writer.push(&(seq * 10).to_ne_bytes(), Meta { stamp_ns: 0, seq });
+                let _ = writer.push(&(seq * 10).to_ne_bytes(), Meta { stamp_ns: 0, came_ns: 0, seq });
             }
             writer
         });
@@ -55,8 +55,9 @@ fn loom_a_dropping_queue_never_gives_up_its_newest_sample() {
     model(|| {
         let (writer, mut reader) =
             stream_link(Payload::Plain { bytes: 8 }, Queue::Fifo { depth: 2, drop: DropPolicy::DropOldest });
-        let push =
-            |writer: &StreamWriter, seq: u64| writer.push(&seq.to_ne_bytes(), Meta { stamp_ns: 0, seq });
+        let push = |writer: &StreamWriter, seq: u64| {
+            writer.push(&seq.to_ne_bytes(), Meta { stamp_ns: 0, came_ns: 0, seq })
+        };
         assert_eq!(push(&writer, 1), Pushed::Queued);
         assert!(reader.next().is_some(), "held while the next ones come");
         assert_eq!((push(&writer, 2), push(&writer, 3)), (Pushed::Queued, Pushed::Queued));
@@ -84,7 +85,7 @@ fn loom_frames_given_up_for_a_slot_are_taken_by_one_end_and_counted() {
         let push = |writer: &StreamWriter, seq: u64| {
             let mut writing = pool.loan().expect("a slot for each of three frames");
             writing.parts_mut().0[0] = seq as u8;
-            writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, seq })
+            writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, came_ns: 0, seq })
         };
         assert_eq!((push(&writer, 1), push(&writer, 2)), (Pushed::Queued, Pushed::Queued));
         let mut last = 0;
@@ -100,7 +101,7 @@ fn loom_frames_given_up_for_a_slot_are_taken_by_one_end_and_counted() {
             let mut writing = lent.loan().expect("the third slot");
             writing.parts_mut().0[0] = 3;
             assert_ne!(
-                writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, seq: 3 }),
+                writer.push_frame(writing.freeze(0), Meta { stamp_ns: 0, came_ns: 0, seq: 3 }),
                 Pushed::DroppedNewest
             );
             writer

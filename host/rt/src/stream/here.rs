@@ -89,7 +89,7 @@ mod models {
             let writer = Arc::new(writer);
             let right = Arc::new(Mutex::new(reader));
             let (theirs, their_right) = (Arc::clone(&writer), Arc::clone(&right));
-            let meta = |seq| Meta { stamp_ns: 0, seq };
+            let meta = |seq| Meta { stamp_ns: 0, came_ns: 0, seq };
             let other = loom::thread::spawn(move || {
                 let _ = theirs.push(&bytes(1), meta(1));
                 look(&mut their_right.lock().expect("no model panics with it"));

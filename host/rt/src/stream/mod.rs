@@ -59,6 +59,8 @@ pub enum DropPolicy {
 pub struct Meta {
     /// Ns of the monotonic clock.
     pub stamp_ns: u64,
+    /// When it was written, or its stamp where that is earlier: no sample is younger. Of the same clock, ns.
+    pub came_ns: u64,
     /// The output's count of samples; a gap at the reader equals what this link dropped.
     pub seq: u64,
 }

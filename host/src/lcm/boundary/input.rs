@@ -281,14 +281,16 @@ impl InCell {
         let reader = unsafe { &mut *link.reader.get() };
         let Some(sample) = pick(reader) else { return IN_EMPTY };
         let mut flags = 0;
+        // By its own time, and by when it came: a stamp of another clock may be of any time.
+        let told_ns = sample.meta.stamp_ns.min(sample.meta.came_ns);
         if sample.fresh {
             flags |= SAMPLE_FRESH;
-            link.latency.record_alone(context::about_now_ns().saturating_sub(sample.meta.stamp_ns));
+            link.latency.record_alone(context::about_now_ns().saturating_sub(told_ns));
         }
         if link.max_age_ns > 0 {
             let now_ns = os::now_ns();
-            // By its own time, and by when the newest one came: a stamp of another clock may be of any time.
-            let old = now_ns.saturating_sub(sample.meta.stamp_ns) > link.max_age_ns;
+            let old = now_ns.saturating_sub(told_ns) > link.max_age_ns;
+            // One that waited in a queue is old although newer ones came, the newest where no other came.
             if old || link.is_stale(now_ns) {
                 flags |= SAMPLE_STALE;
             }

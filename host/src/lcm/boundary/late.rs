@@ -214,7 +214,7 @@ mod tests {
     }
 
     fn give_sample(link: &Arc<OutLink>, seq: u64, bytes: usize) {
-        let (value, meta) = (vec![seq as u8; bytes], Meta { stamp_ns: seq, seq });
+        let (value, meta) = (vec![seq as u8; bytes], Meta { stamp_ns: seq, came_ns: 0, seq });
         // SAFETY: the caller holds it until its turn has ended.
         if !unsafe { sample(link, &value, meta) } {
             link.push_now(&value, meta);
@@ -290,7 +290,7 @@ mod tests {
         turn(|| {
             let lend = || pool.loan().expect("one is free").freeze(8);
             // SAFETY: held until the turn has ended.
-            let frame = |seq| unsafe { frame(&link, lend(), Meta { stamp_ns: seq, seq }) };
+            let frame = |seq| unsafe { frame(&link, lend(), Meta { stamp_ns: seq, came_ns: 0, seq }) };
             assert!(frame(1).is_none());
             assert_eq!(pool.stats().free, 2);
             assert!(reader.next().is_none());

@@ -256,21 +256,28 @@ impl OutCell {
         let seq = self.seq.load(Ordering::Relaxed) + 1;
         self.seq.store(seq, Ordering::Relaxed);
         self.total_bytes.store(self.total_bytes.load(Ordering::Relaxed) + bytes as u64, Ordering::Relaxed);
-        let stamp_ns = if stamp_ns == 0 { os::now_ns() } else { stamp_ns };
-        if stamp_ns > context::about_now_ns().saturating_add(STAMP_BOUND_NS) {
-            self.note_ahead(stamp_ns);
-        }
-        Meta { stamp_ns, seq }
+        let (stamp_ns, came_ns) = match stamp_ns {
+            0 => {
+                let now_ns = os::now_ns();
+                (now_ns, now_ns)
+            }
+            past if past <= context::about_now_ns() => (past, past),
+            // Of this step, or ahead: what is stamped ahead of time is as old as its coming.
+            late => {
+                let now_ns = os::now_ns();
+                if late > now_ns.saturating_add(STAMP_BOUND_NS) {
+                    self.note_ahead(late - now_ns);
+                }
+                (late, late.min(now_ns))
+            }
+        };
+        Meta { stamp_ns, came_ns, seq }
     }
 
-    /// Counts a sample whose stamp is still to come, should it really be; real-time.
+    /// Counts a sample whose stamp is still to come; real-time.
     #[cold]
     #[inline(never)]
-    fn note_ahead(&self, stamp_ns: u64) {
-        let ahead_ns = stamp_ns.saturating_sub(os::now_ns());
-        if ahead_ns <= STAMP_BOUND_NS {
-            return;
-        }
+    fn note_ahead(&self, ahead_ns: u64) {
         super::running(|instance| {
             let mut said = [0; 96];
             let room = said.len();
@@ -368,7 +375,7 @@ impl Outs {
         for link in &self.links {
             link.begin(meta.seq);
             link.writer.push_parts(head, body, self.shape.bytes, meta);
-            link.signal(meta.stamp_ns);
+            link.signal(meta.came_ns);
         }
     }
 }
@@ -418,7 +425,7 @@ impl OutLink {
     pub(in crate::lcm) fn push_frame_now(&self, frame: Frame, meta: Meta) {
         self.begin(meta.seq);
         self.writer.push_frame(frame, meta);
-        self.signal(meta.stamp_ns);
+        self.signal(meta.came_ns);
     }
 
     #[inline]
@@ -431,7 +438,7 @@ impl OutLink {
             self.begin(meta.seq);
             self.writer.push(value, meta);
         }
-        self.signal(meta.stamp_ns);
+        self.signal(meta.came_ns);
     }
 
     /// Notes the number of the first sample for another process, before that is counted.
@@ -447,10 +454,10 @@ impl OutLink {
     }
 
     #[inline(always)]
-    fn signal(&self, stamp_ns: u64) {
+    fn signal(&self, came_ns: u64) {
         match &self.consumer {
             Consumer::Here(consumer, None) => Self::tell_of_sample(consumer),
-            _ => self.signal_with_stamp(stamp_ns),
+            _ => self.signal_with_age(came_ns),
         }
     }
 
@@ -465,20 +472,17 @@ impl OutLink {
 
     // Apart, so that the common way stays small.
     #[inline(never)]
-    fn signal_with_stamp(&self, stamp_ns: u64) {
-        // What is stamped ahead of time is as old as its coming: it must not pass for fresh until then.
-        let is_past = || stamp_ns <= context::about_now_ns();
-        let written_ns = || if is_past() { stamp_ns } else { stamp_ns.min(os::now_ns()) };
+    fn signal_with_age(&self, came_ns: u64) {
         match &self.consumer {
             Consumer::Here(consumer, newest_ns) => {
                 if let Some(newest_ns) = newest_ns {
-                    newest_ns.store(written_ns(), Ordering::Relaxed);
+                    newest_ns.store(came_ns, Ordering::Relaxed);
                 }
                 Self::tell_of_sample(consumer);
             }
             Consumer::Far { bell, newest_ns, .. } => {
                 if let Some(newest_ns) = newest_ns {
-                    newest_ns.set(written_ns());
+                    newest_ns.set(came_ns);
                 }
                 context::wake(bell);
             }

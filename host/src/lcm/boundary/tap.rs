@@ -115,7 +115,7 @@ impl OutCell {
     pub(in crate::lcm) fn tell_row(&self, bytes: &[u8], stamp_ns: u64, row: u64) {
         self.seq.store(row, Ordering::Relaxed);
         self.total_bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        self.outs.look(|outs| outs.tell(bytes, &[], Meta { stamp_ns, seq: row }));
+        self.outs.look(|outs| outs.tell(bytes, &[], Meta { stamp_ns, came_ns: stamp_ns, seq: row }));
     }
 
     /// An event or command: the words before its payload, and what of that is kept. Any thread. Real-time.
@@ -131,7 +131,7 @@ impl OutCell {
             if !outs.is_unread() {
                 // As before each sample that leaves: rows this thread owes are out first.
                 pending::publish();
-                outs.tell(&head, kept, Meta { stamp_ns, seq });
+                outs.tell(&head, kept, Meta { stamp_ns, came_ns: stamp_ns, seq });
             }
         });
     }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{ThreadId, current};
 
 use serde_json::{Value, json};
-use trocar_model::{ConnectOptions, Refusal, State, Verb};
+use trocar_model::{ConnectOptions, Queue, Refusal, State, Verb};
 use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, client, server};
@@ -259,5 +259,47 @@ fn a_sample_stamped_ahead_of_time_does_not_hide_that_nothing_comes_after_it() {
         let now_ns = trocar_rt::now_ns();
         assert!(stale(now_ns).is_empty(), "it has just come");
         assert_eq!(stale(now_ns + MAX_AGE_NS + 1), ["x"], "nothing came for longer than max_age");
+    }
+}
+
+/// A clock that is ahead, a queue, and a reader that stood still: what waited is as old as it has waited.
+#[test]
+fn a_sample_stamped_ahead_of_time_grows_old_in_a_queue_although_newer_ones_come() {
+    const MAX_AGE_NS: u64 = 20_000_000;
+    for carrier in ["heap", "memfd"] {
+        let world = World::new(&format!("ahead_{carrier}"));
+        let plain = json!({"name": "x", "type": {"plain": "u64"}});
+        let queue = json!({"name": "x", "type": {"plain": "u64"}, "fifo": 4});
+        let source = world.active("source", &json!({"outputs": [plain]}), on_signal(), Script::default());
+        // It never steps of itself, as if it were frozen: the test looks in its place.
+        let sink = world.active("sink", &json!({"inputs": [queue]}), passive(), Script::default());
+        let options = ConnectOptions {
+            queue: Some(Queue::Fifo { depth: 4, drop_oldest: true }),
+            max_age_ns: Some(MAX_AGE_NS),
+            carrier: carrier.into(),
+            ..ConnectOptions::default()
+        };
+        let connection = world.connection("sink/x", "source/x", options);
+        world.apply(trocar_model::Change::Connect { connection }).unwrap();
+        let slot = source.output(0);
+        let write = |stamp_ns: u64| {
+            // SAFETY: a slot of this instance, a value of its size.
+            unsafe { (slot.write)(slot.ctx, (&raw const stamp_ns).cast(), stamp_ns) }
+        };
+        let next = || {
+            let slot = sink.input(0);
+            let mut view = no_view();
+            // SAFETY: a slot of this instance, which nobody else is inside; room for a view.
+            assert_eq!(unsafe { (slot.next)(slot.ctx, &raw mut view) }, IN_SAMPLE, "{carrier}");
+            (view.stamp_ns, view.flags & SAMPLE_STALE != 0)
+        };
+        let hour_ns = 3_600_000_000_000;
+        let first = trocar_rt::now_ns() + hour_ns;
+        assert_eq!(write(first), EXECUTED);
+        let until_ns = trocar_rt::now_ns() + MAX_AGE_NS;
+        eventually("the first one has waited", || trocar_rt::now_ns() > until_ns);
+        assert_eq!(write(first + 1), EXECUTED);
+        assert_eq!(next(), (first, true), "{carrier}: it has waited longer than max_age");
+        assert_eq!(next().0, first + 1, "{carrier}: its stamp is shown as it was given");
     }
 }
