@@ -71,6 +71,40 @@ fn a_thousand_silent_callers_keep_nobody_away_and_are_let_go() {
     assert_eq!(crowd.0.len() as u64, CALLERS, "they held on until now");
 }
 
+#[test]
+fn callers_that_only_open_http2_are_let_go_as_those_that_say_nothing() {
+    let world = World::new();
+    let host = HostProcess::start_with(&world, "host", &[]);
+    let before = holds(host.pid());
+    // The text that opens HTTP/2, with empty settings (RFC 9113, sections 3.4 and 6.5).
+    let opening = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+    let mut callers: Vec<TcpStream> = (0..20).map(|_| TcpStream::connect(host.address()).unwrap()).collect();
+    for caller in &mut callers {
+        caller.write_all(opening).unwrap();
+        assert!(caller.read(&mut [0; 9]).unwrap() > 0, "the host's own settings come back");
+        caller.set_nonblocking(true).unwrap();
+    }
+    assert!(holds(host.pid()).files >= before.files + callers.len());
+    eventually("they are let go", || {
+        callers.iter_mut().for_each(answer_ping);
+        let now = holds(host.pid());
+        if now.files <= before.files + 2 { Ok(()) } else { Err(format!("{now:?}, before {before:?}")) }
+    });
+}
+
+/// Answers the host that looks whether its caller is still there (RFC 9113, section 6.7).
+fn answer_ping(caller: &mut TcpStream) {
+    let mut heard = [0; 64];
+    let heard = caller.read(&mut heard).map_or(&[][..], |read| &heard[..read]);
+    let ping = b"\0\0\x08\x06\0\0\0\0\0";
+    if let Some(at) = heard.windows(ping.len()).position(|bytes| bytes == ping)
+        && let Some(said) = heard.get(at + ping.len()..at + ping.len() + 8)
+    {
+        // It may have been let go meanwhile.
+        let _ = caller.write_all(&[b"\0\0\x08\x06\x01\0\0\0\0", said].concat());
+    }
+}
+
 /// A connection of a program that asks for something and stays.
 struct Asking(TcpStream);
 

@@ -1,7 +1,8 @@
 //! A connection of the port: its bytes, and whether its caller has said anything yet.
 //!
 //! Invariant: a caller that does not ask within [`PATIENCE`] is let go, as is one that gives its place to
-//! another; a caller that has asked once keeps its connection, whatever it does then.
+//! another; a caller that has asked once keeps its connection, whatever it does then. To open HTTP/2 asks
+//! nothing.
 
 use std::io::{self, IoSlice};
 use std::pin::{Pin, pin};
@@ -125,24 +126,30 @@ impl AsyncWrite for Connection {
 }
 
 /// The head of a first question as far as it has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a
-/// fixed text that holds one.
+/// fixed text, which asks nothing yet, and ends it in a frame.
 #[derive(Debug, Default)]
 struct Head {
     heard: usize,
     last: [u8; 4],
-    is_http2: bool,
+    /// Something else than the text that opens HTTP/2 was heard.
+    is_http1: bool,
+    frames: Frames,
     ended: bool,
 }
 
-/// Length of the text that opens HTTP/2 (RFC 9113, section 3.4); its first letter begins no method of ours.
-const PREFACE: usize = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".len();
+/// The text that opens HTTP/2 (RFC 9113, section 3.4); its first word is no method of ours.
+const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 impl Head {
     fn hear(&mut self, said: &[u8]) {
-        if self.heard == 0 {
-            self.is_http2 = said.starts_with(b"PR");
-        }
+        let opening = PREFACE.get(self.heard..).unwrap_or_default();
+        let frames = said.get(opening.len()..).unwrap_or_default();
+        self.is_http1 |= opening.iter().zip(said).any(|(expected, byte)| expected != byte);
         self.heard = self.heard.saturating_add(said.len());
+        if !self.is_http1 {
+            self.ended |= self.frames.hear(frames);
+            return;
+        }
         for byte in said {
             self.last.rotate_left(1);
             self.last[3] = *byte;
@@ -151,34 +158,96 @@ impl Head {
     }
 
     fn is_whole(&self) -> bool {
-        if self.is_http2 { self.heard >= PREFACE } else { self.ended }
+        self.ended
+    }
+}
+
+/// Frames of HTTP/2 as far as they have come (RFC 9113, section 4.1): settings and pings ask nothing.
+#[derive(Debug, Default)]
+struct Frames {
+    /// Length, type, flags and stream of the present one, and how much of that was heard.
+    head: [u8; 9],
+    heard: usize,
+    /// Bytes of the present one that are still to come behind its head.
+    left: usize,
+}
+
+const HEADERS: u8 = 1;
+const CONTINUATION: u8 = 9;
+const END_HEADERS: u8 = 4;
+
+impl Frames {
+    /// True when the headers of a request have ended in what is heard.
+    fn hear(&mut self, mut said: &[u8]) -> bool {
+        while let Some((byte, rest)) = said.split_first() {
+            if let Some(place) = self.head.get_mut(self.heard) {
+                *place = *byte;
+                self.heard += 1;
+                said = rest;
+                let [a, b, c, ..] = self.head;
+                self.left = u32::from_be_bytes([0, a, b, c]) as usize;
+            } else {
+                let heard = self.left.min(said.len());
+                self.left -= heard;
+                said = said.get(heard..).unwrap_or_default();
+            }
+            if self.heard == self.head.len() && self.left == 0 {
+                let [_, _, _, kind, flags, ..] = self.head;
+                if [HEADERS, CONTINUATION].contains(&kind) && flags & END_HEADERS != 0 {
+                    return true;
+                }
+                self.heard = 0;
+            }
+        }
+        false
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::Head;
+    use super::{CONTINUATION, END_HEADERS, HEADERS, Head, PREFACE};
 
-    fn heard(parts: &[&str]) -> bool {
+    fn heard(parts: &[&[u8]]) -> bool {
         let mut head = Head::default();
-        parts.iter().for_each(|part| head.hear(part.as_bytes()));
+        parts.iter().for_each(|part| head.hear(part));
         head.is_whole()
     }
 
-    #[test]
-    fn a_question_is_whole_at_its_empty_line_however_it_comes_in() {
-        assert!(heard(&["GET / HTTP/1.0\r\n\r\n"]));
-        assert!(heard(&["G", "ET / HTTP/1.1\r\nHost: x\r\n\r", "\n"]));
-        assert!(heard(&["PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n and frames"]));
-        assert!(heard(&["PRI * HTTP/2.0\r\n\r\n", "SM\r\n\r\n"]));
+    fn frame(kind: u8, flags: u8, payload: &[u8]) -> Vec<u8> {
+        let [_, length @ ..] = (payload.len() as u32).to_be_bytes();
+        [&length[..], &[kind, flags, 0, 0, 0, 1], payload].concat()
+    }
+
+    /// What a caller over HTTP/2 says that asks: settings, a window, the headers in two frames.
+    fn asks() -> Vec<u8> {
+        let settings = frame(4, 0, &[0, 3, 0, 0, 0, 1]);
+        let window = frame(8, 0, &[0, 0, 0, 1]);
+        let begin = frame(HEADERS, 0, b"\r\n\r\n");
+        [PREFACE, &settings, &window, &begin, &frame(CONTINUATION, END_HEADERS, &[7; 300])].concat()
     }
 
     #[test]
-    fn half_a_question_is_none() {
-        for parts in
-            [&[][..], &["G"], &["GET / HTTP/1.1\r\nHost: x\r\n"], &["PRI * HTTP/2.0\r\n\r\n"], &["PRI"]]
-        {
+    fn a_question_is_whole_at_the_end_of_its_head_however_it_comes_in() {
+        assert!(heard(&[b"GET / HTTP/1.0\r\n\r\n"]));
+        assert!(heard(&[b"G", b"ET / HTTP/1.1\r\nHost: x\r\n\r", b"\n"]));
+        assert!(heard(&[b"P", b"OST / HTTP/1.1\r\n\r\n"]));
+        let asks = asks();
+        for size in 1..=asks.len() {
+            let parts: Vec<&[u8]> = asks.chunks(size).collect();
+            assert!(heard(&parts), "in pieces of {size} bytes");
+            assert!(!heard(&parts[..parts.len() - 1]), "without the last of pieces of {size} bytes");
+        }
+    }
+
+    #[test]
+    fn half_a_question_is_none_and_neither_is_what_only_opens_a_connection() {
+        let halves: [&[&[u8]]; 5] =
+            [&[], &[b"G"], &[b"GET / HTTP/1.1\r\nHost: x\r\n"], &[&PREFACE[..18]], &[&PREFACE[..3]]];
+        for parts in halves {
             assert!(!heard(parts), "{parts:?}");
         }
+        assert!(!heard(&[PREFACE]) && !heard(&[b"P", &PREFACE[1..]]), "the opening text alone");
+        let pings = [PREFACE, &frame(4, 0, &[]), &frame(6, 0, &[0; 8]).repeat(100)].concat();
+        assert!(!heard(&[&pings]), "settings and pings");
     }
 }
