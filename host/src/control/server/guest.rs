@@ -51,11 +51,13 @@ impl GuestService for Edge {
     async fn hold(&self, request: Request<v1::HoldRequest>) -> Result<Response<Self::HoldStream>, Status> {
         let identity = identity(&request);
         let component = ComponentId::parse(&request.into_inner().component).map_err(refuse)?;
+        let place = self.standing.holds.take()?;
         let mut held = self.gcm()?.hold(component, identity).map_err(refuse)?;
         let mut closing = self.closing.clone();
         let (tell, told) = mpsc::channel(2);
         let first = v1::HoldResponse { component: held.component.to_string() };
         tokio::spawn(async move {
+            let _place = place;
             // A caller that is gone already is seen next.
             let _ = tell.send(Ok(first)).await;
             tokio::select! {

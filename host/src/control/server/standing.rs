@@ -23,6 +23,8 @@ pub(in crate::control) struct Standing {
     /// Logs that follow.
     pub(super) logs: Places,
     pub(super) waits: Places,
+    /// Components that end with their callers.
+    pub(super) holds: Places,
 }
 
 impl Default for Standing {
@@ -41,6 +43,7 @@ impl Default for Standing {
             ),
             logs: of("Logs that follow", ", or ask Logs without `follow`, which answers what is kept"),
             waits: of("WaitFors", ", or ask Watch, one of which tells of all components"),
+            holds: of("Holds", ", or take the component away yourself (Remove), without a Hold"),
         }
     }
 }

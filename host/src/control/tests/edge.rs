@@ -10,6 +10,7 @@ use tonic_health::pb::health_client::HealthClient;
 use tonic_reflection::pb::{v1 as reflection, v1alpha as older};
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_client::GcmServiceClient;
+use trocar_proto::v1::guest_service_client::GuestServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 
 use super::super::server::STANDING;
@@ -351,6 +352,24 @@ async fn a_port_serves_so_many_calls_that_wait_and_no_more_until_one_ends() {
     followed.pop();
     in_time(async || s.interact().logs(of_logs()).await).await.unwrap();
     in_time(async || s.gcm().wait_for(of_wait()).await).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_port_serves_so_many_holds_and_no_more_until_one_ends() {
+    let s = System::start().await;
+    let of = |n: usize| v1::HoldRequest { component: format!("host/h{n}") };
+    // One connection has no streams left when all Holds there may be are its own.
+    let mut other = GuestServiceClient::new(connect(&s.server).await);
+    let mut open = Vec::new();
+    for n in 0..STANDING {
+        open.push(other.hold(of(n)).await.unwrap());
+    }
+    let mut guest = GuestServiceClient::new(s.channel.clone());
+    let refused = guest.hold(of(STANDING)).await.err();
+    is_refused(refused.as_ref(), "256 Holds are open", "take the component away yourself");
+    drop(open.pop());
+    // Asked again until the end of the other is seen.
+    in_time(async || guest.clone().hold(of(STANDING)).await).await.unwrap();
 }
 
 /// Asks until there is a place: one who looked whether all were taken may have had the last.
