@@ -114,9 +114,15 @@ fn is_run_only_by_what_it_is_made_for(world: &World, made: &Made) {
 }
 
 #[test]
-fn a_robot_and_a_scanner_are_created_and_configured_only_by_models_and_rates_they_are_made_for() {
-    for class in ["eyerobot", "bscan"] {
-        let world = World::with_plugins(&["sine", class]);
+fn classes_that_reckon_with_their_period_are_created_and_configured_only_by_what_they_are_made_for() {
+    let classes = [
+        ("eyerobot", "eyerobot"),
+        ("eyerobot", "free_hand"),
+        ("eyerobot", "cooperative"),
+        ("bscan", "bscan"),
+    ];
+    for (plugin, class) in classes {
+        let world = World::with_plugins(&["sine", plugin]);
         let models = "periodic or exec_in or exec_out";
         let made = Made { class, models, rates_hz: [100, 8000] };
         is_run_only_by_what_it_is_made_for(&world, &made);
