@@ -17,6 +17,11 @@
  * function, "frame": "retina" says in which coordinate frame it is; "ret_frame" of a command says it of its "ret". It holds
  * for the fields with coordinates, arrays of f64 or f32 in structs, and must agree at Connect where both ends say it.
  *
+ * "execution" of a class says how it runs: {"model":"periodic","period_ns":1000000}. A class that is not made
+ * for everything else says beside it what it is made for: "models":["periodic","exec_in"], and "min_period_ns"
+ * and "max_period_ns" for its period. Create and Configure refuse every other execution with that list, and
+ * describe and forms show it.
+ *
  * Threads: the host serialises all calls on one instance, but for make_safe of a class whose manifest says
  * "safe_from_any_thread": see there. step, slots and state_copy are the real-time ones: no
  * allocation, no lock, no waiting. read takes no instance and is called from any thread.

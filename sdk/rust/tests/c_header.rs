@@ -196,3 +196,21 @@ fn a_manifest_written_with_the_header_is_a_note_that_parses() {
     let text = &file[at + owner.len()..at + owner.len() + size];
     assert_eq!(trocar_plugin_api::manifest::Manifest::parse(text).unwrap().name, "c");
 }
+
+#[test]
+fn the_header_says_how_a_manifest_declares_what_a_class_is_made_to_run_by() {
+    let header = std::fs::read_to_string(header_dir().join("trocar_plugin.h")).unwrap();
+    let execution = r#""model":"periodic","period_ns":1000000"#;
+    let made_for = [r#""models":["periodic","exec_in"]"#, r#""min_period_ns""#, r#""max_period_ns""#];
+    for said in made_for.into_iter().chain([execution]) {
+        assert!(header.contains(said), "the header does not say {said}");
+    }
+    let [models, min, max] = made_for;
+    let manifest = format!(
+        r#"{{"trocar":1,"abi":[1,2],"name":"c","version":"0","panic":"none","classes":
+        [{{"name":"c","execution":{{{execution},{models},{min}:125000,{max}:10000000}}}}]}}"#
+    );
+    let parsed = trocar_plugin_api::manifest::Manifest::parse(manifest.as_bytes()).unwrap();
+    let execution = &parsed.classes[0].execution;
+    assert_eq!((execution.min_period_ns, execution.max_period_ns), (125_000, 10_000_000));
+}
