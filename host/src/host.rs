@@ -13,6 +13,7 @@ mod process;
 mod signals;
 mod sources;
 mod state_dir;
+mod threads;
 
 pub use config::{HostBuilder, HostConfig};
 pub use error::HostError;

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::{io, thread};
 
@@ -31,6 +32,14 @@ pub fn threads() -> BTreeSet<i32> {
     list().clone()
 }
 
+/// Own threads that the machine has not given.
+static REFUSED: AtomicU64 = AtomicU64::new(0);
+
+/// So many own threads could not be started so far.
+pub fn refused() -> u64 {
+    REFUSED.load(Ordering::Relaxed)
+}
+
 /// Starts an own thread.
 ///
 /// # Errors
@@ -39,10 +48,14 @@ pub fn spawn<T: Send + 'static>(
     thread: thread::Builder,
     run: impl FnOnce() -> T + Send + 'static,
 ) -> io::Result<thread::JoinHandle<T>> {
-    thread.spawn(move || {
+    let started = thread.spawn(move || {
         let _listed = Listed::here();
         run()
-    })
+    });
+    if started.is_err() {
+        REFUSED.fetch_add(1, Ordering::Relaxed);
+    }
+    started
 }
 
 /// Runs what a thread is for; the words of its panic, if it broke down.
@@ -74,7 +87,7 @@ impl Drop for Listed {
 mod tests {
     use std::sync::mpsc::channel;
 
-    use super::{os, spawn, thread, threads};
+    use super::{os, refused, spawn, thread, threads};
 
     #[test]
     fn a_thread_is_on_the_list_while_it_runs_and_not_after_a_panic() -> Result<(), Box<dyn std::error::Error>>
@@ -93,6 +106,14 @@ mod tests {
         assert!(own.join().is_err());
         assert!(!threads().contains(&tid));
         Ok(())
+    }
+
+    #[test]
+    fn a_thread_that_the_machine_does_not_give_is_counted() {
+        let before = refused();
+        // No machine has the memory for its stack.
+        assert!(spawn(thread::Builder::new().stack_size(1 << 60), || ()).is_err());
+        assert!(refused() > before);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use trocar_model::{Request, Target};
 use super::announce::Announcement;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
-use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files};
+use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, keep_descriptors, stop_active};
@@ -110,6 +110,7 @@ impl Host {
         .map_err(|e| HostError::Threads { because: e.to_string() })?;
         config.memory.keep(&lcm)?;
         files::keep(&lcm);
+        threads::keep(&lcm);
         self.lcm = Some(lcm.clone());
         self.ending.running().lcm = Some(lcm.clone());
         let changed = Arc::downgrade(&lcm);

@@ -129,6 +129,8 @@ pub enum News {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Concern {
     Memory,
+    /// The machine gives none.
+    Threads,
     /// Makes it unfit, as the next one does.
     Files,
     /// Some that it listens at, or watches files with, were closed.
@@ -314,7 +316,8 @@ pub struct LinkDetail {
     pub passed: u64,
     /// Lost in a full queue or for lack of frames; those in `rejected` too.
     pub dropped: u64,
-    /// Samples a newer one took the place of where only the newest is taken: no loss, and none of `dropped`.
+    /// Samples a newer one took the place of where only the newest is taken, and commands that a newer one of
+    /// their kind superseded: no loss, and none of `dropped`.
     pub skipped: u64,
     /// Commands and events a full queue did not take.
     pub rejected: u64,
