@@ -3,6 +3,7 @@
 //! Promise: its fault stays its own: the host lives, the others miss no cycle, and Reset brings it back.
 
 mod counted;
+mod frozen;
 mod hangs;
 mod manners;
 mod refusals;
