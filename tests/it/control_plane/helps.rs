@@ -103,9 +103,13 @@ macro_rules! groups {
                 name: stringify!($name), reason: $reason, asked: |$stage| $asked, done: |$again, $told, $ask| $done,
             }),*]);
         })*
-        const ROWS: &[(&str, &str)] = &[$($((stringify!($name), $reason),)*)*];
+        pub(super) const ROWS: &[(&str, &str)] = &[$($((stringify!($name), $reason),)*)*];
     };
 }
+
+// Behind the macro, which it uses.
+#[path = "helps/branches.rs"]
+mod branches;
 
 fn play(plugins: &[&str], rows: &[Row]) {
     let stage = Stage::new(plugins);
@@ -557,7 +561,8 @@ fn by_hand(stage: &Stage, told: &Told, name: &str) {
 fn the_help_of_every_reason_is_followed_here_or_named_with_why_not() {
     let text = fs::read_to_string(repository().join("docs/errors.md")).unwrap();
     let documented: BTreeSet<&str> = text.lines().filter_map(|line| line.strip_prefix("## ")).collect();
-    let followed: BTreeSet<&str> = ROWS.iter().map(|(_, reason)| *reason).collect();
+    let rows = ROWS.iter().chain(branches::ROWS);
+    let followed: BTreeSet<&str> = rows.map(|(_, reason)| *reason).collect();
     let named: BTreeSet<&str> = ELSEWHERE.iter().map(|(reason, _)| *reason).collect();
     let all: BTreeSet<&str> = followed.union(&named).copied().collect();
     assert_eq!(all, documented);
