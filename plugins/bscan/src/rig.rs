@@ -84,6 +84,22 @@ impl Setup {
         }
     }
 
+    /// Both ways in which a tool stands: upright, and from the side.
+    pub(crate) fn both(world: &str, seed: u64) -> [Setup; 2] {
+        [Setup::new(world, seed), Setup::from_the_side(world, seed)]
+    }
+
+    /// The same at the nearest offset that each of them may keep.
+    pub(crate) fn near(world: &str, seed: u64) -> [Setup; 2] {
+        let [upright, aside] = Setup::both(world, seed);
+        [Setup { offset_m: 200e-6, ..upright }, Setup { offset_m: 240e-6, ..aside }]
+    }
+
+    /// What a way along the tool is along the axis of the eye.
+    pub(crate) fn upright(&self) -> f64 {
+        self.stand[1].cos()
+    }
+
     /// The same with a tool that comes from the side through the wall of the eye, as in the demo.
     pub(crate) fn from_the_side(world: &str, seed: u64) -> Setup {
         Setup { stand: FROM_THE_SIDE, ..Setup::new(world, seed) }

@@ -3,6 +3,7 @@
 //! Invariant: the true tip and the true first surface count, for a whole breath after the end, in virtual time.
 #![allow(clippy::unwrap_used)]
 
+use nalgebra::Vector3;
 use trocar_sdk::Text;
 use trocar_sdk::data::{FixtureKind, Pose, Retreat, Twist};
 
@@ -15,9 +16,10 @@ const BREATH: usize = 4_300;
 #[test]
 fn after_an_abort_or_a_lost_surface_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
     // The nearest offset there is; the eye goes up and down by 320 µm. Aborts at all times of its motion.
-    for seed in seeds() {
+    for setup in seeds().flat_map(|seed| Setup::near("default", seed)) {
+        let seed = setup.world.seed;
         for lost in [false, true] {
-            let mut rig = Rig::new(Setup { offset_m: 200e-6, ..Setup::new("default", seed) });
+            let mut rig = Rig::new(setup);
             rig.begin();
             rig.until_scanning();
             rig.steps(50 + 37 * seed as usize);
@@ -37,10 +39,11 @@ fn after_an_abort_or_a_lost_surface_the_tip_stays_150_micrometres_away_for_a_who
 
 #[test]
 fn after_a_whole_scan_the_tip_stays_150_micrometres_away_for_a_whole_breath() {
-    for seed in seeds() {
+    for setup in seeds().flat_map(|seed| Setup::near("default", seed)) {
+        let seed = setup.world.seed;
         // A line of another length for each seed, so that it ends at all times of the eye's motion.
         let end_m = -1.4e-3 + 20e-6 * seed as f64;
-        let mut rig = Rig::run(Setup { offset_m: 200e-6, end_m, ..Setup::new("default", seed) });
+        let mut rig = Rig::run(Setup { end_m, ..setup });
         let nearest = rig.watch(BREATH).into_iter().chain([rig.errors().2]).fold(f64::INFINITY, f64::min);
         assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
     }
@@ -116,18 +119,20 @@ fn kill(mut rig: Rig, seed: u64) -> (f64, f64) {
     let from = rig.truth.last().unwrap().tip_z_m;
     let mut nearest = rig.watch(20).into_iter().fold(f64::INFINITY, f64::min);
     assert_eq!(rig.true_speed_m_s(), 0.0, "seed {seed}");
-    let z = |rig: &Rig| rig.robot.read::<(), Pose>("truth/measured_cp", ()).unwrap().position[2];
-    let stands = z(&rig);
-    assert!((stands - from).abs() < 15e-6, "seed {seed}: {:.2e} m", stands - from);
+    let tip =
+        |rig: &Rig| Vector3::from(rig.robot.read::<(), Pose>("truth/measured_cp", ()).unwrap().position);
+    let stands = tip(&rig);
+    assert!((stands.z - from).abs() < 15e-6, "seed {seed}: {:.2e} m", stands.z - from);
     nearest = nearest.min(rig.watch(BREATH).into_iter().fold(f64::INFINITY, f64::min));
-    (nearest, stands - z(&rig))
+    (nearest, (stands - tip(&rig)).norm())
 }
 
 #[test]
 fn a_robot_whose_scan_is_killed_stands_within_twenty_milliseconds_and_then_goes_away_from_the_retina() {
-    for seed in seeds() {
-        // The nearest offset there is; the eye goes up and down by 320 µm.
-        let (nearest, back) = kill(Rig::new(Setup { offset_m: 200e-6, ..Setup::new("default", seed) }), seed);
+    // The nearest offset there is; the eye goes up and down by 320 µm.
+    for setup in seeds().flat_map(|seed| Setup::near("default", seed)) {
+        let seed = setup.world.seed;
+        let (nearest, back) = kill(Rig::new(setup), seed);
         assert!(nearest > NEAREST_M, "seed {seed}: {nearest:.2e} m");
         assert!((back - 0.4e-3).abs() < 3e-6, "seed {seed}: {back:.2e} m back");
     }

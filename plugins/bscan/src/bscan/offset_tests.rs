@@ -86,8 +86,8 @@ fn a_fifth_of_the_signal_loses_some_lines_and_the_scan_goes_on_for_every_seed() 
 #[test]
 fn an_eye_that_jumps_by_fifty_micrometres_is_caught_within_a_tenth_of_a_second() {
     for by_m in [50e-6, -50e-6] {
-        for seed in seeds() {
-            let mut setup = Setup::new("static_no_membrane", seed);
+        for mut setup in seeds().flat_map(|seed| Setup::both("static_no_membrane", seed)) {
+            let seed = setup.world.seed;
             let mut rig = Rig::new(setup);
             let at_s = rig.bench.now().ns() as f64 * 1e-9 + 1.0;
             setup.world = setup.world.with_step(at_s, by_m);
@@ -110,8 +110,8 @@ fn an_eye_that_jumps_by_fifty_micrometres_is_caught_within_a_tenth_of_a_second()
 
 #[test]
 fn a_surface_hidden_for_twenty_lines_makes_the_tip_move_nowhere_it_should_not() {
-    for seed in seeds() {
-        let mut rig = Rig::new(Setup::new("default", seed));
+    for setup in seeds().flat_map(|seed| Setup::both("default", seed)) {
+        let (seed, mut rig) = (setup.world.seed, Rig::new(setup));
         rig.begin();
         rig.until_scanning();
         rig.steps(200 + 40 * seed as usize);
