@@ -24,8 +24,8 @@ Exit code 0: nothing is wrong; 1: something is. Nothing is started and no plugin
 
 /// Lists everything that is wrong with a system file, each with its place and what to do.
 ///
-/// What is judged: syntax, names and values, and by the plugin directories of its processes classes,
-/// configurations, ports and types. What follows from another mistake is not listed.
+/// Syntax, names and values are judged, and by the plugin directories of its processes classes,
+/// configurations, ports and types. A mistake that follows from another one is not listed.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct CheckArgs {

@@ -34,7 +34,7 @@ impl Offline {
             refused: Vec::new(),
         };
         let mut looked: HashMap<Vec<PathBuf>, Arc<Vec<PluginEntry>>> = HashMap::new();
-        for spec in draft.processes().to_vec() {
+        for spec in draft.file().processes.clone() {
             let Some((dirs, trust)) = sources(draft, &spec, base, given) else {
                 offline.graph.processes.insert(spec.name, process(Vec::new()));
                 continue;
@@ -60,8 +60,8 @@ impl Offline {
     }
 }
 
-/// Where the classes of a process come from, as far as it is there; `None` where the file does not say it, or
-/// nobody knows which files are taken.
+/// The directories that the classes of a process come from, as far as they are there, and which files are
+/// taken; `None` where the file does not say it.
 fn sources(
     draft: &mut Draft,
     spec: &ProcessSpec,

@@ -1,6 +1,6 @@
 //! A system file as far as it could be read, beside all that is wrong with it.
 //!
-//! Invariant: a draft is only judged. What is carried out is a [`SystemFile`], and that is a draft without a problem.
+//! Invariant: a draft is only judged. A [`SystemFile`], which is carried out, is a draft without a problem.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -9,7 +9,7 @@ use trocar_model::{ComponentId, Name};
 
 use super::cursor::{Document, MOST};
 use super::problem::{Problem, join};
-use super::{BadSet, ProcessSpec, SystemFile, read};
+use super::{BadSet, SystemFile, read};
 
 /// A system file that may be wrong.
 #[derive(Clone, Debug)]
@@ -19,8 +19,8 @@ pub struct Draft {
     pub(super) doubts: Doubts,
 }
 
-/// Parts of a draft that say something else than what was meant, since a piece of them could not be read. What follows
-/// from that is no mistake of the file.
+/// Parts of a draft that say something else than what was meant, since a piece of them could not be read. A
+/// refusal that follows from that is no mistake of the file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Doubts {
     /// Their classes are not known, or not all.
@@ -60,15 +60,11 @@ impl Draft {
         &self.file
     }
 
-    pub fn processes(&self) -> &[ProcessSpec] {
-        &self.file.processes
-    }
-
     /// As [`SystemFile::set`].
     ///
     /// # Errors
-    /// Malformed, or names a component that the file does not have; where the file has problems of its own, that may be
-    /// one that could not be read, and is not told.
+    /// Malformed, or names a component that the file does not have; where the file has problems of its own, that
+    /// may be one that could not be read, and is not told.
     pub fn set(&mut self, assignment: &str) -> Result<(), BadSet> {
         let set = self.file.set(assignment);
         if self.problems.is_empty() { set } else { Ok(()) }

@@ -1,7 +1,8 @@
 //! A system file against the classes there are: every request that would be refused, and what would be done.
 //!
 //! Invariant: pure. It is judged by the planner that carries requests out, so nothing is refused here that
-//! would be done, nor the other way; what hangs on something that was refused, or could not be read, is not judged.
+//! would be done, nor the other way; what hangs on something that was refused, or could not be read, is not
+//! judged.
 
 use std::collections::{BTreeSet, VecDeque};
 

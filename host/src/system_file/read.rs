@@ -1,8 +1,8 @@
 //! Positioned JSON → `SystemFile`: one function per part of the file.
 //!
 //! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two.
-//! Whatever is wrong is noted, and the rest is read all the same; parts that may say something else than was meant are
-//! doubted.
+//! Whatever is wrong is noted, and the rest is read all the same; parts that may say something else than was
+//! meant are doubted.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -75,7 +75,8 @@ pub(super) const ISOLATIONS: &[(&str, bool)] = &[("none", false), ("process", tr
 const PATH_HELP: &str = "write process/component, e.g. \"host/robot\"";
 const PORT_HELP: &str = "write process/component/port, e.g. \"host/robot/arm\"";
 
-/// The file as far as it can be read, and all that is wrong with it; problems alone where nothing can be made of it.
+/// The file as far as it can be read, and all that is wrong with it; problems alone where nothing can be made
+/// of it.
 pub(super) fn draft(document: Document) -> Result<Draft, Vec<Problem>> {
     let (found, mut doubts) = (Found::default(), Doubts::default());
     match parts(&document, &found, &mut doubts) {

@@ -95,7 +95,7 @@ impl Setup {
         [Setup { offset_m: 200e-6, ..upright }, Setup { offset_m: 240e-6, ..aside }]
     }
 
-    /// What a way along the tool is along the axis of the eye.
+    /// The part of a way along the tool that leads along the axis of the eye.
     pub(crate) fn upright(&self) -> f64 {
         self.stand[1].cos()
     }

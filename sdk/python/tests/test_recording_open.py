@@ -99,6 +99,8 @@ def test_first_and_last_are_the_earliest_and_the_latest_wherever_they_lie(tmp_pa
 
 def test_a_wrong_name_is_refused_with_the_nearest_and_keys_are_completed(tmp_path):
     rec = trocar.Recording(write(tmp_path / "a.mcap"))
+    with pytest.raises(KeyError, match=r"no topic 'arm/state'; did you mean /robot/arm/state\? It has "):
+        rec["arm/state"]
     with pytest.raises(KeyError, match="did you mean /robot/arm/state"):
         rec["robot/arm/sttae"]
     with pytest.raises(KeyError, match="topics by name"):

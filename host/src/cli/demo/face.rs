@@ -130,7 +130,8 @@ fn laid_out(head: &str, table: &str, kept: &Kept, rows: usize) -> String {
     lines.join("\n")
 }
 
-/// In so many lines: what was refused while it came up, which later warnings may follow from, and the last of these.
+/// The warnings, in so many lines: the first of those from while it came up, which later ones may follow from,
+/// and the last of these.
 fn foot(kept: &Kept, room: usize) -> Vec<String> {
     let title = |text: String| style::paint(&text, style::WARN, style::stdout());
     let mut lines = Vec::new();

@@ -218,7 +218,7 @@ mod tests {
         [&length[..], &[kind, flags, 0, 0, 0, 1], payload].concat()
     }
 
-    /// What a caller over HTTP/2 says that asks: settings, a window, the headers in two frames.
+    /// A caller over HTTP/2 that asks says: settings, a window, the headers in two frames.
     fn asks() -> Vec<u8> {
         let settings = frame(4, 0, &[0, 3, 0, 0, 0, 1]);
         let window = frame(8, 0, &[0, 0, 0, 1]);

@@ -262,7 +262,7 @@ impl OutCell {
                 (now_ns, now_ns)
             }
             past if past <= context::about_now_ns() => (past, past),
-            // Of this step, or ahead: what is stamped ahead of time is as old as its coming.
+            // It is of this step, or ahead: what is stamped ahead of time is as old as its coming.
             late => {
                 let now_ns = os::now_ns();
                 if late > now_ns.saturating_add(STAMP_BOUND_NS) {

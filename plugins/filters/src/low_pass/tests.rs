@@ -31,7 +31,7 @@ fn a_sample_is_filtered_once_however_often_the_component_steps() {
     assert_eq!(bench.outputs::<Force>("filtered").len(), 1);
 }
 
-/// What the filter at 1 kHz makes of a step to 1 N, each sample `dt_ns` after the one before.
+/// The answer of the filter at 1 kHz to a step to 1 N, each sample `dt_ns` after the one before.
 fn step_response(dt_ns: u64) -> Vec<f64> {
     let mut bench = Bench::<LowPass>::new(r#"{"cutoff_hz": 10}"#);
     for n in 0..20 {

@@ -157,7 +157,8 @@ class Recording(Mapping, Told):
         ends = next((name for name in known if name.endswith(f"/{topic}")), None)
         near = f"; did you mean {ends}?" if ends else nearest(topic if topic.startswith("/") else f"/{topic}", known)
         shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
-        raise KeyError(f"{self.file} has no topic {topic!r}{near or ';'} it has {shown or 'none'}")
+        it_has = f"{near} It has" if near else "; it has"
+        raise KeyError(f"{self.file} has no topic {topic!r}{it_has} {shown or 'none'}")
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.topics)

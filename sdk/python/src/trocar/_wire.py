@@ -1,8 +1,8 @@
 """The channels to the GCM: unary calls with deadlines, streams, and nothing of grpc beyond this file's callers.
 
-Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` here and nowhere else. Calls have a connection of
-their own, so that no number of streams keeps a Stop waiting;
-a Stop goes by the socket for Stop alone where it is there.
+Invariant: every unary call has a deadline; a refusal becomes a ``TrocarError`` here and nowhere else. Calls have a
+connection of their own, so that no number of streams keeps them waiting; a Stop goes by the socket for Stop alone where it is
+there.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class Wire:
         raise error
 
     def stop(self, request: Any, timeout: float) -> Any:
-        """Asks for a Stop: by the socket that a host of this user has for that alone, so that it waits for nobody's calls and
-        connections; where there is none, as every call.
+        """Asks for a Stop: by the socket that a host of this user has for that alone, so that it waits for nobody's
+        calls and connections; where there is none, as every call.
         """
         __tracebackhide__ = True
         name = "GcmService/Stop"
@@ -95,7 +95,7 @@ class Wire:
                 error = self.error(e, name)
             finally:
                 channel.close()
-            # What a killed host left refuses at once.
+            # A socket that a killed host left refuses at once.
             if error.reason != "GCM_UNREACHABLE":
                 raise error
         return self.call(name, request, timeout)
