@@ -5,6 +5,7 @@
 //! every machine, and a Stop never waits in a queue with others.
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::time::Duration;
 
 use tonic_types::StatusExt;
@@ -19,6 +20,9 @@ use crate::runtime_dir::Door;
 
 /// How long to wait for a connection.
 const CONNECT: Duration = Duration::from_secs(2);
+
+/// The words of hyper for pings that were not answered; an outer test looks for what is said then.
+const UNANSWERED: &str = "keep-alive timed out";
 
 /// Bytes of the largest answer taken: a list of many components with long configurations.
 const LARGEST: usize = 256 << 20;
@@ -43,6 +47,10 @@ pub(super) struct Told {
     pub(super) metadata: BTreeMap<String, String>,
     /// True: no answer of a GCM at all.
     pub(super) transport: bool,
+    /// It is there, and has not answered the pings of `dial` either.
+    pub(super) silent: bool,
+    /// It has not answered by the time that the call was given here.
+    pub(super) late: bool,
 }
 
 impl Client {
@@ -78,12 +86,13 @@ fn uri(addr: &str) -> String {
 }
 
 /// The innermost error is the one that says something ("Connection refused").
-fn root_cause(e: &dyn std::error::Error) -> String {
-    let mut cause = e;
-    while let Some(inner) = cause.source() {
-        cause = inner;
-    }
-    cause.to_string()
+fn root_cause(e: &(dyn Error + 'static)) -> String {
+    causes(e).last().unwrap_or(e).to_string()
+}
+
+/// An error and those that led to it.
+fn causes<'e>(e: &'e (dyn Error + 'static)) -> impl Iterator<Item = &'e (dyn Error + 'static)> {
+    std::iter::successors(Some(e), |&cause| cause.source())
 }
 
 /// Takes a status apart.
@@ -94,14 +103,19 @@ pub(super) fn explain(status: &tonic::Status) -> Told {
     let help =
         details.help().and_then(|h| h.links.first()).map(|l| l.description.clone()).unwrap_or_default();
     let code = code_name(status.code());
+    let transport = status.code() == tonic::Code::Unavailable && info.is_none();
+    // The transport's own words say only which part of it failed.
+    let of_transport = status.source().filter(|_| transport);
     Told {
         code,
         // A status without our details is not an answer of a GCM; its code is all there is.
         reason: if reason.is_empty() { code.to_owned() } else { reason },
-        message: status.message().to_owned(),
+        late: causes(status).any(|cause| cause.is::<tonic::TimeoutExpired>()),
+        silent: causes(status).any(|cause| cause.to_string().contains(UNANSWERED)),
+        message: of_transport.map_or_else(|| status.message().to_owned(), root_cause),
         help,
         metadata: info.map(|i| i.metadata.clone().into_iter().collect()).unwrap_or_default(),
-        transport: status.code() == tonic::Code::Unavailable && info.is_none(),
+        transport,
     }
 }
 

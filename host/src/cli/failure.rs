@@ -40,6 +40,9 @@ pub(super) struct Failure {
     pub(super) metadata: BTreeMap<String, String>,
 }
 
+const STANDS_STILL: &str = "its process stands still or gets no processor: `ps -C trocar -o pid,stat,args` shows it (a T in STAT is stopped, \
+                            `kill -CONT PID` lets it go on)";
+
 impl Failure {
     fn new(
         exit: Exit,
@@ -81,6 +84,28 @@ impl Failure {
             "NO_GCM",
             format!("no GCM answers at {addr}: {why}"),
             "start one (`trocar demo`, `trocar run FILE`, `trocar host`), or name its address: --gcm ADDR or TROCAR_GCM",
+        )
+    }
+
+    /// Something listens at `addr` and says nothing, as a process does that was stopped.
+    pub(super) fn silent(addr: &str) -> Self {
+        Self::new(
+            Exit::NoGcm,
+            "UNAVAILABLE",
+            "NO_GCM",
+            format!("the GCM at {addr} does not answer: it takes connections, and has said nothing for 10 s"),
+            STANDS_STILL,
+        )
+    }
+
+    /// A call was given a time here, and has no answer by then.
+    pub(super) fn late(addr: &str) -> Self {
+        Self::new(
+            Exit::TimedOut,
+            "DEADLINE_EXCEEDED",
+            "NO_ANSWER",
+            format!("the GCM at {addr} did not answer in the time that it was given"),
+            STANDS_STILL,
         )
     }
 

@@ -81,6 +81,12 @@ impl Session {
 
     fn failed(&self, status: &tonic::Status) -> Failure {
         let told = client::explain(status);
+        if told.late {
+            return Failure::late(&self.address());
+        }
+        if told.silent {
+            return Failure::silent(&self.address());
+        }
         if told.transport {
             return Failure::no_gcm(&self.address(), &told.message);
         }

@@ -1,7 +1,8 @@
 //! The way to a port: by the socket beside it, else by TCP, with the token of the environment.
 //!
 //! Invariant: a socket is taken only from this user's own runtime directory, so nobody else can stand behind
-//! it.
+//! it. Nobody who asks by a door waits for ever: a host that stands still (its kernel still takes connections) is
+//! seen by pings it does not answer.
 
 use std::time::Duration;
 
@@ -9,6 +10,11 @@ use tonic::transport::{Channel, Endpoint, Error};
 
 use super::caller::{Tokened, with_token};
 use crate::runtime_dir::{Door, RuntimeDir};
+
+/// While something is asked, a host that has said nothing for so long is pinged.
+const QUIET: Duration = Duration::from_secs(5);
+/// The connection ends where it does not answer within that.
+const ANSWERS: Duration = Duration::from_secs(5);
 
 /// Connects to `http://HOST:PORT`, by the socket beside it if `door` names one and it is there; `within` bounds each attempt.
 ///
@@ -21,7 +27,13 @@ pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tok
         return Ok(with_token(channel));
     }
     let endpoint = Endpoint::from_shared(uri.to_owned())?.connect_timeout(within).tcp_nodelay(true);
+    // An Attach has heartbeats of its own.
+    let endpoint = if door.is_some() { pinged(endpoint) } else { endpoint };
     Ok(with_token(endpoint.connect().await?))
+}
+
+fn pinged(endpoint: Endpoint) -> Endpoint {
+    endpoint.http2_keep_alive_interval(QUIET).keep_alive_timeout(ANSWERS)
 }
 
 async fn beside(uri: &str, door: Door, within: Duration) -> Option<Channel> {
@@ -32,7 +44,7 @@ async fn beside(uri: &str, door: Door, within: Duration) -> Option<Channel> {
         let path = dir.way(addr, door);
         let Ok(endpoint) = Endpoint::from_shared(format!("unix:{}", path.display())) else { continue };
         // A socket that a killed host left refuses at once.
-        if let Ok(channel) = endpoint.connect_timeout(within).connect().await {
+        if let Ok(channel) = pinged(endpoint).connect_timeout(within).connect().await {
             return Some(channel);
         }
     }

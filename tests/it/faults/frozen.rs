@@ -8,21 +8,24 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use trocar_tests::{Grpcurl, HostProcess, World, eventually, number};
+use trocar_tests::{Grpcurl, HostProcess, Trocar, World, eventually, number};
 
 use crate::processes::system::{System, kill, pid};
 
+/// Exit codes of the command line: no GCM answers, or not in time.
+const NO_GCM: i32 = 3;
+const TIMED_OUT: i32 = 4;
 /// Deadline of the commands that wait.
 const DEADLINE: Duration = Duration::from_millis(300);
 /// Commands of each kind that wait.
 const WAITING: u64 = 4;
-/// What is written while nothing stands still; older commands write other numbers.
+/// The number that is written while nothing stands still; older commands write others.
 const NOW: f64 = 7.0;
 /// Functions and ways of the client `conform/Client`: it sends, or calls.
 const WRITE: u32 = 1;
 const SEND: u32 = 0;
 const CALL: u32 = 1;
-/// Where its tally counts outcomes.
+/// Places of its tally, which counts outcomes.
 const QUEUED: usize = 0;
 const EXECUTED: usize = 1;
 const EXPIRED: usize = 8;
@@ -51,7 +54,7 @@ fn running_threads(pid: u64) -> usize {
     stats.filter(|stat| stat.rsplit_once(") ").is_none_or(|(_, rest)| !rest.starts_with('T'))).count()
 }
 
-/// What `times` calls in as many threads, or sends in one, came to: the client's tally.
+/// The client's tally of `times` calls in as many threads, or sends in one.
 fn perform(grpc: &Grpcurl, client: &str, how: u32, first: u32, times: u64) -> Value {
     let (threads, times) = if how == CALL { (times, 1) } else { (0, times) };
     let order = json!({
@@ -128,7 +131,7 @@ fn commands_that_waited_in_a_frozen_process_beyond_their_deadline_are_answered_a
         assert_eq!(count(&called, EXPIRED), WAITING, "{called}");
     });
     only_what_comes_now_is_carried_out(&grpc, ["host/calls", "host/server"]);
-    // Who only sent has no answer: the connection counts what never ran.
+    // A send has no answer: the connection counts what never ran.
     eventually("they are counted", || match figure(&grpc, "unexecuted") {
         WAITING => Ok(()),
         n => Err(n),
@@ -161,4 +164,31 @@ fn commands_sent_to_a_frozen_process_are_not_carried_out_when_it_goes_on() {
     assert_eq!(count(&called, EXECUTED), 0, "{called}");
     assert_eq!(count(&sent, EXECUTED), 0, "{sent}");
     only_what_comes_now_is_carried_out(grpc, ["right/client", "left/server"]);
+}
+
+#[test]
+fn a_host_that_stands_still_is_told_by_whoever_asks_it_and_nobody_waits_for_ever() {
+    let world = World::with_plugins(&["sine"]);
+    let host = HostProcess::start(&world);
+    host.grpcurl().create("host/s", "sine", json!({}));
+    let trocar = Trocar::at(&world, host.address());
+    kill("-STOP", u64::from(host.pid()));
+    let asked: [(&[&str], i32, &str); 4] = [
+        (&["ls"], NO_GCM, "takes connections, and has said nothing"),
+        (&["call", "host/s/system/get_state"], NO_GCM, "takes connections, and has said nothing"),
+        (&["stop", "host/s"], NO_GCM, "takes connections, and has said nothing"),
+        (
+            &["wait", "host/s", "--state", "ACTIVE", "--deadline", "1s"],
+            TIMED_OUT,
+            "did not answer in the time",
+        ),
+    ];
+    thread::scope(|scope| {
+        for (args, exit, said) in asked {
+            let trocar = &trocar;
+            scope.spawn(move || trocar.run(args).ends_with(exit).says(said).says("kill -CONT"));
+        }
+    });
+    kill("-CONT", u64::from(host.pid()));
+    trocar.run(&["ls"]).ends_with(0).says("host/s");
 }
