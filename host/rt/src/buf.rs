@@ -13,25 +13,47 @@ pub(crate) const fn round_up(n: usize, step: usize) -> usize {
 }
 
 pub(crate) struct AlignedBuf {
+    /// The first aligned byte of what was allocated.
     start: NonNull<u8>,
-    layout: Layout,
+    bytes: usize,
+    allocated: NonNull<u8>,
 }
 
+/// What the allocator aligns to without a search.
+const ALLOCATED: usize = 16;
+/// Smallest page of the machine, bytes.
+const PAGE: usize = 4096;
+
 impl AlignedBuf {
-    /// A block of at least one byte, so that every block has an address of its own.
+    /// A block of at least one byte, so that every block has an address of its own. All its pages are there.
     pub(crate) fn new(bytes: usize) -> Self {
-        let layout =
-            Layout::from_size_align(bytes.max(1), ALIGN).expect("a block is smaller than isize::MAX");
+        let bytes = bytes.max(1);
+        let layout = Self::layout(bytes);
         // SAFETY: the layout's size is at least one byte.
-        let start = unsafe { alloc_zeroed(layout) };
-        let Some(start) = NonNull::new(start) else { handle_alloc_error(layout) };
-        Self { start, layout }
+        let allocated = unsafe { alloc_zeroed(layout) };
+        let Some(allocated) = NonNull::new(allocated) else { handle_alloc_error(layout) };
+        let offset = allocated.as_ptr().addr().wrapping_neg() % ALIGN;
+        // SAFETY: the layout has room for the block behind this offset.
+        let start = unsafe { allocated.add(offset) };
+        // A large block comes as pages that are not there yet, and no real-time thread may be the first to touch them.
+        for at in (0..bytes).step_by(PAGE).chain([bytes - 1]) {
+            // SAFETY: inside the block, which is nobody else's yet.
+            unsafe { start.add(at).write_volatile(0) };
+        }
+        Self { start, bytes, allocated }
+    }
+
+    /// The allocator is asked for more room instead of for alignment: aligned blocks that come and go leave holes in the
+    /// heap of glibc before 2.38 that it does not use again (its bug 14581), and the process grows.
+    fn layout(bytes: usize) -> Layout {
+        Layout::from_size_align(bytes.saturating_add(ALIGN - ALLOCATED), ALLOCATED)
+            .expect("a block is smaller than isize::MAX")
     }
 
     /// The address of byte `offset`.
     #[inline]
     pub(crate) fn at(&self, offset: usize) -> *mut u8 {
-        assert!(offset <= self.layout.size(), "offset {offset} is outside the {} bytes", self.layout.size());
+        assert!(offset <= self.bytes, "offset {offset} is outside the {} bytes", self.bytes);
         // SAFETY: the offset was just checked to lie inside the block or one past its end.
         unsafe { self.start.as_ptr().add(offset) }
     }
@@ -39,7 +61,7 @@ impl AlignedBuf {
     /// The whole block, for a sole owner.
     pub(crate) fn as_mut_slice(&mut self) -> &mut [u8] {
         // SAFETY: the block is initialised (zeroed) and `&mut self` proves that nobody else reaches it.
-        unsafe { std::slice::from_raw_parts_mut(self.start.as_ptr(), self.layout.size()) }
+        unsafe { std::slice::from_raw_parts_mut(self.start.as_ptr(), self.bytes) }
     }
 }
 
@@ -65,7 +87,7 @@ pub(crate) unsafe fn copy(from: *const u8, to: *mut u8, n: usize) {
 impl Drop for AlignedBuf {
     fn drop(&mut self) {
         // SAFETY: allocated in `new` with this very layout, and freed only here.
-        unsafe { dealloc(self.start.as_ptr(), self.layout) }
+        unsafe { dealloc(self.allocated.as_ptr(), Self::layout(self.bytes)) }
     }
 }
 
@@ -73,3 +95,24 @@ impl Drop for AlignedBuf {
 unsafe impl Send for AlignedBuf {}
 // SAFETY: as above: `&AlignedBuf` only gives addresses out.
 unsafe impl Sync for AlignedBuf {}
+
+#[cfg(all(test, not(loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_of_any_size_is_aligned_zeroed_and_all_there_while_the_allocator_is_asked_for_no_alignment() {
+        for bytes in [0, 1, 15, 16, 63, 64, 65, 4095, 4096, 4097, 1 << 20] {
+            let mut blocks: Vec<_> = (0..9).map(|_| AlignedBuf::new(bytes)).collect();
+            for block in &mut blocks {
+                assert_eq!(block.at(0).addr() % ALIGN, 0, "{bytes} bytes");
+                let all = block.as_mut_slice();
+                assert_eq!(all.len(), bytes.max(1));
+                assert!(all.iter().all(|b| *b == 0), "{bytes} bytes");
+                // To its last byte its own: the next blocks are still zero, and the allocator stays whole.
+                all.fill(0xA5);
+            }
+            assert!(AlignedBuf::layout(bytes).align() <= ALLOCATED, "it would leave holes in the heap");
+        }
+    }
+}
