@@ -595,6 +595,8 @@ impl Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        self.hub.remains.take(&self.host, self.host_table.clone(), self.described.all_slots());
+        if self.hub.remains.take(&self.host, self.host_table.clone(), self.described.all_slots()) {
+            self.hub.ports.notify();
+        }
     }
 }

@@ -28,19 +28,27 @@ impl Remains {
 
 /// Remains of the components that went last.
 #[derive(Default)]
-pub(in crate::lcm) struct AllRemains(Mutex<VecDeque<Remains>>);
+pub(in crate::lcm) struct AllRemains {
+    kept: Mutex<VecDeque<Remains>>,
+    /// Ports behind which others' things still stand: a cycle was under way that may look at them.
+    in_use: Mutex<Vec<Arc<Slots>>>,
+}
 
 impl AllRemains {
-    /// Takes what its component leaves, and all that others own out of it. Not real-time.
+    /// Takes what its component leaves, and all that others own out of it; true when some of that is still looked at, so
+    /// that [`AllRemains::reclaim`] has to come by. Not real-time.
     pub(in crate::lcm) fn take(
         &self,
         host: &Arc<HostContext>,
         table: Arc<SharedTable>,
         slots: Vec<Arc<Slots>>,
-    ) {
+    ) -> bool {
         host.leave();
         slots.iter().for_each(|slots| slots.retire(host));
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let in_use: Vec<_> = slots.iter().filter(|slots| slots.reclaim() > 0).cloned().collect();
+        let again = !in_use.is_empty();
+        self.in_use.lock().unwrap_or_else(PoisonError::into_inner).extend(in_use);
+        let mut all = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         all.push_back(Remains { _table: table, slots });
         let mut ports: usize = all.iter().map(Remains::ports).sum();
         let mut oldest = Vec::new();
@@ -53,5 +61,18 @@ impl AllRemains {
         drop(all);
         // Outside the lock: that may take a while.
         drop(oldest);
+        again
+    }
+
+    /// Drops what was still looked at when its component went; how many sets of ports still are. Managers only.
+    pub(in crate::lcm) fn reclaim(&self) -> usize {
+        let in_use = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
+        let looked_at = in_use().clone();
+        // Outside the lock: the last owner of another component may be among what is dropped, and that one comes here.
+        let done: Vec<_> = looked_at.into_iter().filter(|slots| slots.reclaim() == 0).collect();
+        let mut in_use = in_use();
+        // They stay in the list meanwhile, so that whoever asks beside this one counts them, too.
+        in_use.retain(|slots| !done.iter().any(|d| Arc::ptr_eq(d, slots)));
+        in_use.len()
     }
 }

@@ -90,12 +90,16 @@ impl LocalLcm {
             instance.queues().iter().for_each(|inbox| inbox.tell_toll(&instance));
             in_use += instance.reclaim();
         }
-        in_use += self.reclaim_leaving();
+        in_use += self.reclaim_left();
         self.carriers.tend() || in_use > 0
     }
 
-    /// Drops what removed components still hold of wires that were cut, where nobody looks at it any more; in how many
+    /// Drops what removed components and their remains still hold of others, where nobody looks at it any more; in how many
     /// somebody does.
+    fn reclaim_left(&self) -> usize {
+        self.reclaim_leaving() + self.hub.remains.reclaim()
+    }
+
     fn reclaim_leaving(&self) -> usize {
         let leaving = self.held().leaving.clone();
         let left: Vec<_> = leaving.into_iter().filter(|instance| instance.reclaim() == 0).collect();
@@ -109,12 +113,10 @@ impl LocalLcm {
     /// connected to each other would keep each other for ever.
     pub(super) async fn drop_left(&self, until: Instant) {
         loop {
-            match self.reclaim_leaving() {
+            match self.reclaim_left() {
                 0 => return,
                 in_use if Instant::now() >= until => {
-                    log::warn!(
-                        "a cycle that does not end still uses what {in_use} removed components were connected to"
-                    );
+                    log::warn!("a cycle that does not end still uses what {in_use} removed components held");
                     return;
                 }
                 _ => tokio::time::sleep(Duration::from_millis(1)).await,

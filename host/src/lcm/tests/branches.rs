@@ -14,7 +14,7 @@ use super::super::boundary::fake::Own;
 use super::*;
 
 /// One output `out`, or input `in`, of frames with a number; the pool of an output is the LCM's own.
-fn frames(input: bool, output: bool) -> Ports {
+pub(super) fn frames(input: bool, output: bool) -> Ports {
     let mut ports = plain(input, output);
     let inputs = ports.inputs.iter_mut().map(|port| &mut port.ty);
     for ty in inputs.chain(ports.outputs.iter_mut().map(|port| &mut port.ty)) {

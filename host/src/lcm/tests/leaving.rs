@@ -2,6 +2,7 @@
 
 use std::sync::mpsc::{TryRecvError, channel};
 
+use super::branches::frames;
 use super::*;
 
 struct Idle;
@@ -56,6 +57,34 @@ async fn work_for_a_thread_that_has_ended_is_let_go_of_at_once() {
     let (tell, told) = channel::<()>();
     executor.submit(move |_| drop(tell));
     assert_eq!(told.try_recv(), Err(TryRecvError::Disconnected), "whoever asked would wait for ever");
+    world.end().await;
+}
+
+/// The remains of a component are kept for long, what others lent or own is not: neither at once nor later.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_frame_memory_of_a_removed_component_is_freed_although_a_cycle_was_under_way() {
+    let world = World::new("lv_pool");
+    world.create_as("camera", class(frames(false, true), Safety::None), periodic(1000), Arc::new(Idle)).await;
+    let instance = Arc::downgrade(&world.lcm.instance(&world.id("camera")).unwrap());
+    let files = instance.upgrade().unwrap().described.now().slots.output(0).pool_files();
+    let memory: Vec<_> = files.iter().map(Arc::downgrade).collect();
+    assert_eq!(memory.len(), 1, "the pool of its output");
+    drop(files);
+    let (begun, began) = channel();
+    let (end, ends) = channel::<()>();
+    let cycle = std::thread::spawn(move || {
+        trocar_rt::turn::run(|| {
+            begun.send(()).unwrap();
+            let _ = ends.recv();
+        });
+    });
+    began.recv().unwrap();
+    world.apply(Change::Destroy { id: world.id("camera"), component: component() }).await.unwrap();
+    eventually("the component is dropped", || instance.strong_count() == 0).await;
+    assert_eq!(memory[0].strong_count(), 1, "the cycle may still look at it");
+    end.send(()).unwrap();
+    cycle.join().unwrap();
+    eventually("its frame memory is freed", || memory[0].strong_count() == 0).await;
     world.end().await;
 }
 

@@ -13,7 +13,7 @@ use std::panic::{self, AssertUnwindSafe};
 
 use super::{Lab, Languages};
 use crate::skip;
-use books::{Growth, Resources};
+use books::{Growth, Resources, await_shared_memory, shared_memory};
 
 /// Where servers are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,6 +63,7 @@ fn interleave_here(languages: Languages, servers: Servers, seeds: impl IntoItera
         Servers::Far => Lab::parted(languages),
     };
     lab.open_gate();
+    let memory = shared_memory();
     // Taken after the first one, which makes what is made once and kept.
     let mut before = None;
     let mut growth = Growth::default();
@@ -70,6 +71,7 @@ fn interleave_here(languages: Languages, servers: Servers, seeds: impl IntoItera
         let played = panic::catch_unwind(AssertUnwindSafe(|| {
             play::play(&lab, seed);
             before.get_or_insert_with(Resources::now).await_again();
+            await_shared_memory(memory);
             growth.look();
         }));
         if let Err(why) = played {
