@@ -6,7 +6,7 @@ use serde_json::json;
 use trocar_tests::{HostProcess, Told, Trocar, World, eventually};
 
 use super::TWO;
-use super::system::System;
+use super::system::{System, kill, pid};
 
 #[test]
 fn what_a_supervisor_gave_up_or_never_had_is_brought_back_as_the_help_says() {
@@ -32,6 +32,43 @@ fn what_a_supervisor_gave_up_or_never_had_is_brought_back_as_the_help_says() {
     two.grpc.create("alone/x", "sine", json!({}));
     let made = two.grpc.ok("GcmService/Create", isolated(told.value("known").split(',').next().unwrap()));
     assert_eq!(made["path"], "left.x/x", "one that has a supervisor gets it: {made}");
+}
+
+#[test]
+fn what_is_being_started_again_answers_when_the_help_says_so() {
+    // The second start waits, and what is asked meanwhile is answered by how it stands.
+    let policy = "\"right\": { \"restart\": { \"max\": 1000, \"backoff_ms\": 3000 },";
+    let two = System::up(&TWO.replacen("\"right\": {", policy, 1), &[]);
+    let start = json!({ "path": "right/off" });
+    let refused_while_restarting = |method: &str, body: &serde_json::Value, words: &str| {
+        let mut last = 0;
+        eventually(&format!("{method} meets it while it is started again"), || {
+            let process = two.host("right");
+            if process["state"] == "PROCESS_STATE_ATTACHED" && pid(&process) != last {
+                last = pid(&process);
+                kill("-KILL", last);
+            }
+            let refused = two.grpc.call(method, body.clone()).map_err(|refused| Told::by(&refused));
+            match refused {
+                Err(told) if told.help.contains(words) => Ok(told),
+                other => Err(format!("{other:?}")),
+            }
+        })
+    };
+    let told = refused_while_restarting("GcmService/Start", &start, "Ask again in a moment");
+    assert_eq!(told.reason, "PROCESS_LOST", "{told:?}");
+    told.looked(&two.trocar());
+    let forget = json!({ "process": "right" });
+    let told = refused_while_restarting("GcmService/Forget", &forget, "ATTACHED or FAILED");
+    assert_eq!(told.reason, "PROCESS_RUNS", "{told:?}");
+    eventually("`trocar ls` shows it ATTACHED", || {
+        let line = two.trocar().run(&["ls", "right"]).ends_with(0);
+        if line.stdout.contains("ATTACHED") { Ok(()) } else { Err(format!("{line:?}")) }
+    });
+    eventually("its components are made anew", || match two.grpc.call("GcmService/Start", start.clone()) {
+        Ok(_) => Ok(()),
+        Err(refused) => Err(format!("{refused:?}")),
+    });
 }
 
 #[test]

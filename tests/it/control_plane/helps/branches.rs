@@ -40,7 +40,21 @@ groups! {
             };
     }
 
-    helps_about_states_in_other_cases ["fixture_chaos", "fixture_echo", "sine"] {
+    helps_about_states_in_other_cases ["fixture_chaos", "fixture_echo", "sine", "stereo"] {
+        a_component_that_was_never_configured "WRONG_STATE"
+            |stage| {
+                stage.grpc.ok("GcmService/Create", json!({ "path": "host/film", "class": "image_source" }));
+                verb("GcmService/Start", "host/film")
+            },
+            |stage, told, ask| {
+                assert!(told.help.starts_with("Configure it first"), "{told:?}");
+                told.typed(&stage.trocar(), "trocar describe", &[]).says("directory");
+                let pairs = two_pictures(stage);
+                let config = json!({ "path": "host/film", "config": { "directory": pairs } });
+                stage.grpc.ok("GcmService/Configure", config);
+                ask
+            };
+
         a_component_in_fault_is_reset_before_it_is_configured "WRONG_STATE"
             |stage| {
                 faulted(stage, "unsettled");
@@ -137,4 +151,18 @@ fn mended(stage: &Stage, told: &Told, name: &str) {
     told.typed(&stage.trocar(), "trocar reset", &[]);
     harmless(stage, name);
     told.typed(&stage.trocar(), "trocar start", &[]);
+}
+
+/// A folder with the smallest stereo pair there is.
+fn two_pictures(stage: &Stage) -> std::path::PathBuf {
+    let mut bytes = Vec::new();
+    let mut writer = png::Encoder::new(&mut bytes, 1, 1).write_header().unwrap();
+    writer.write_image_data(&[0]).unwrap();
+    writer.finish().unwrap();
+    let folder = stage.world.path("pairs");
+    std::fs::create_dir(&folder).unwrap();
+    for name in ["left1.png", "right1.png"] {
+        std::fs::write(folder.join(name), &bytes).unwrap();
+    }
+    folder
 }
