@@ -2,8 +2,12 @@
 //!
 //! Invariant: one line per request, bounded; it reads as what `Apply` would take, and never as a debug print.
 
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io;
+
 use serde_json::{Map, Value, json};
-use trocar_model::{ConnectOptions, Execution, Queue, Refusal, Request, Target, Which};
+use trocar_model::{ConnectOptions, Execution, PortId, Queue, Refusal, Request, Target, Which};
 
 use super::requests::Answer;
 use crate::system_file::words::spelled;
@@ -24,81 +28,105 @@ fn refused(refusal: &Refusal) -> String {
 }
 
 fn asked(requests: &[Request]) -> String {
-    let mut text = match requests {
-        [one] => request(one).to_string(),
-        all => Value::Array(all.iter().map(request).collect()).to_string(),
+    let mut text = Cut::default();
+    let written = match requests {
+        [one] => serde_json::to_writer(&mut text, &request(one)),
+        all => serde_json::to_writer(&mut text, &all.iter().map(request).collect::<Vec<_>>()),
     };
-    if text.len() > MOST {
-        let (whole, mut end) = (text.len(), MOST);
-        while !text.is_char_boundary(end) {
-            end -= 1;
-        }
-        text.truncate(end);
-        text.push_str(&format!("… ({whole} bytes)"));
+    let mut text = text.into_string();
+    if written.is_err() {
+        text.push_str(&format!("… (more than {MOST} bytes)"));
     }
     text
 }
 
-fn request(request: &Request) -> Value {
-    match request {
-        Request::Create { id, class, config, execution } => {
-            let body = create(id.to_string(), class, config.as_ref(), execution);
-            json!({ "create": body })
-        }
-        Request::CreateApart { id, home, class, config, execution } => {
-            let path = format!("{home}/{}", id.component);
-            let mut body = create(path, class, config.as_ref(), execution);
-            body.insert("isolation".into(), "process".into());
-            json!({ "create": body })
-        }
-        Request::Remove { id, force } => json!({ "remove": { "path": id.to_string(), "force": force } }),
-        Request::Forget { process } => json!({ "forget": { "process": process.as_str() } }),
-        Request::Configure { id, patch, execution } => {
-            let mut body = Map::new();
-            body.insert("path".into(), id.to_string().into());
-            body.insert("config".into(), patch.clone());
-            put(&mut body, "execution", execution.as_ref().and_then(settings));
-            json!({ "configure": body })
-        }
-        Request::Start { targets } => json!({ "start": paths(targets) }),
-        Request::Stop { targets } => json!({ "stop": paths(targets) }),
-        Request::Resume { targets } => json!({ "resume": paths(targets) }),
-        Request::Reset { targets } => json!({ "reset": paths(targets) }),
-        Request::Connect { client, server, options } => {
-            let mut body = Map::new();
-            body.insert("client".into(), client.to_string().into());
-            body.insert("server".into(), server.to_string().into());
-            put(&mut body, "options", wire_options(options));
-            json!({ "connect": body })
-        }
-        Request::Disconnect { which: Which::Id(id) } => json!({ "disconnect": { "id": id.0 } }),
-        Request::Disconnect { which: Which::Pair { client, server } } => {
-            json!({ "disconnect": { "client": client.to_string(), "server": server.to_string() } })
-        }
+/// The first [`MOST`] bytes: a request of some MB costs no more than what is shown of it.
+#[derive(Default)]
+struct Cut(Vec<u8>);
+
+impl Cut {
+    fn into_string(self) -> String {
+        String::from_utf8(self.0).unwrap_or_else(|cut| {
+            let whole = cut.utf8_error().valid_up_to();
+            String::from_utf8_lossy(&cut.as_bytes()[..whole]).into_owned()
+        })
     }
 }
 
-fn create(path: String, class: &str, config: Option<&Value>, execution: &Execution) -> Map<String, Value> {
-    let mut body = Map::new();
-    body.insert("path".into(), path.into());
-    body.insert("class".into(), class.into());
-    put(&mut body, "config", config.cloned());
-    put(&mut body, "execution", settings(execution));
+impl io::Write for Cut {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let fits = bytes.len().min(MOST - self.0.len());
+        self.0.extend_from_slice(&bytes[..fits]);
+        // Nothing fits any more: whoever writes ends here.
+        Ok(fits)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// What a request says, by its name there; configurations can be large and are not copied.
+type Body<'a> = BTreeMap<&'static str, Cow<'a, Value>>;
+
+fn request(request: &Request) -> BTreeMap<&'static str, Body<'_>> {
+    let (name, body) = match request {
+        Request::Create { id, class, config, execution } => {
+            ("create", create(id.to_string(), class, config.as_ref(), execution))
+        }
+        Request::CreateApart { id, home, class, config, execution } => {
+            let mut body = create(format!("{home}/{}", id.component), class, config.as_ref(), execution);
+            body.extend(made("isolation", "process"));
+            ("create", body)
+        }
+        Request::Remove { id, force } => {
+            ("remove", Body::from_iter(made("path", id.to_string()).chain(made("force", *force))))
+        }
+        Request::Forget { process } => ("forget", made("process", process.as_str()).collect()),
+        Request::Configure { id, patch, execution } => {
+            let mut body = Body::from_iter(made("path", id.to_string()));
+            body.insert("config", Cow::Borrowed(patch));
+            body.extend(
+                execution.as_ref().and_then(settings).into_iter().flat_map(|set| made("execution", set)),
+            );
+            ("configure", body)
+        }
+        Request::Start { targets } => ("start", paths(targets)),
+        Request::Stop { targets } => ("stop", paths(targets)),
+        Request::Resume { targets } => ("resume", paths(targets)),
+        Request::Reset { targets } => ("reset", paths(targets)),
+        Request::Connect { client, server, options } => {
+            let mut body = pair(client, server);
+            body.extend(wire_options(options).into_iter().flat_map(|options| made("options", options)));
+            ("connect", body)
+        }
+        Request::Disconnect { which: Which::Id(id) } => ("disconnect", made("id", id.0).collect()),
+        Request::Disconnect { which: Which::Pair { client, server } } => ("disconnect", pair(client, server)),
+    };
+    BTreeMap::from([(name, body)])
+}
+
+fn made<'a>(key: &'static str, value: impl Into<Value>) -> std::iter::Once<(&'static str, Cow<'a, Value>)> {
+    std::iter::once((key, Cow::Owned(value.into())))
+}
+
+fn create<'a>(path: String, class: &str, config: Option<&'a Value>, execution: &Execution) -> Body<'a> {
+    let mut body = Body::from_iter(made("path", path).chain(made("class", class)));
+    body.extend(config.map(|config| ("config", Cow::Borrowed(config))));
+    body.extend(settings(execution).into_iter().flat_map(|set| made("execution", set)));
     body
 }
 
-fn put(body: &mut Map<String, Value>, key: &str, value: Option<Value>) {
-    if let Some(value) = value {
-        body.insert(key.to_owned(), value);
-    }
+fn pair<'a>(client: &PortId, server: &PortId) -> Body<'a> {
+    made("client", client.to_string()).chain(made("server", server.to_string())).collect()
 }
 
-fn paths(targets: &[Target]) -> Value {
+fn paths<'a>(targets: &[Target]) -> Body<'a> {
     let text = |target: &Target| match target {
         Target::One(id) => id.to_string(),
         Target::Glob(pattern) => pattern.to_string(),
     };
-    json!({ "paths": targets.iter().map(text).collect::<Vec<_>>() })
+    made("paths", targets.iter().map(text).collect::<Vec<_>>()).collect()
 }
 
 /// What is set, by the names of the system file; nothing when all is left to the class.
@@ -110,19 +138,24 @@ fn settings(execution: &Execution) -> Option<Value> {
 
 fn wire_options(options: &ConnectOptions) -> Option<Value> {
     let mut body = Map::new();
+    let mut put = |key: &str, value: Option<Value>| {
+        if let Some(value) = value {
+            body.insert(key.to_owned(), value);
+        }
+    };
     let queue = options.queue.map(|queue| match queue {
         Queue::Latest => json!("latest"),
         Queue::Fifo { depth, drop_oldest } => json!({ "fifo": depth, "drop_oldest": drop_oldest }),
     });
     let ms = |ns: Option<u64>| ns.map(|ns| json!(ns as f64 / 1e6));
-    put(&mut body, "queue", queue);
-    put(&mut body, "max_age_ms", ms(options.max_age_ns));
-    put(&mut body, "deadline_ms", ms(options.deadline_ns));
-    put(&mut body, "mailbox", options.mailbox.map(Value::from));
-    put(&mut body, "adapt", options.adapt.then_some(Value::Bool(true)));
-    put(&mut body, "delay", options.delay.then_some(Value::Bool(true)));
-    put(&mut body, "replace", options.replace.then_some(Value::Bool(true)));
-    put(&mut body, "carrier", (!options.carrier.is_empty()).then(|| options.carrier.as_str().into()));
+    put("queue", queue);
+    put("max_age_ms", ms(options.max_age_ns));
+    put("deadline_ms", ms(options.deadline_ns));
+    put("mailbox", options.mailbox.map(Value::from));
+    put("adapt", options.adapt.then_some(Value::Bool(true)));
+    put("delay", options.delay.then_some(Value::Bool(true)));
+    put("replace", options.replace.then_some(Value::Bool(true)));
+    put("carrier", (!options.carrier.is_empty()).then(|| options.carrier.as_str().into()));
     (!body.is_empty()).then_some(Value::Object(body))
 }
 
@@ -130,7 +163,7 @@ fn wire_options(options: &ConnectOptions) -> Option<Value> {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use trocar_model::{ComponentId, PortId};
+    use trocar_model::ComponentId;
 
     use super::*;
 
@@ -161,6 +194,10 @@ mod tests {
         let id = ComponentId::parse("host/robot").unwrap();
         let patch = json!({"text": "é".repeat(1 << 20)});
         let line = asked(&[Request::Configure { id, patch, execution: None }]);
-        assert!(line.len() < MOST + 50 && line.ends_with(" bytes)"), "{} bytes", line.len());
+        assert!(
+            line.len() < MOST + 50 && line.ends_with("é… (more than 4096 bytes)"),
+            "{} bytes",
+            line.len()
+        );
     }
 }
