@@ -14,11 +14,9 @@ pub mod lcm;
     reason = "maps files that were checked, and asks the system what the standard library does not"
 )]
 pub mod loader;
-mod plain;
 pub mod processes;
 mod runtime_dir;
 pub mod system_file;
-mod threads;
 #[cfg(test)]
 #[path = "../../tests/src/watchdog.rs"]
 #[allow(unreachable_pub, reason = "it is public where it lies")]

@@ -17,6 +17,7 @@ mod loose;
 mod name;
 mod nearest;
 mod phases;
+pub mod plain;
 mod plan;
 mod proxy;
 mod refusal;

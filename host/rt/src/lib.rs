@@ -26,6 +26,7 @@ pub mod state;
 pub mod stream;
 mod sync;
 pub mod team;
+pub mod threads;
 pub mod timing;
 pub mod turn;
 pub mod wake;

@@ -7,7 +7,7 @@ use std::io::{ErrorKind, Write};
 use serde_json::Value;
 
 use super::failure::Exit;
-pub(super) use crate::plain::{harmless, json, lines, paragraph};
+pub(super) use trocar_model::plain::{harmless, json, lines, paragraph};
 
 /// Longest value shown on one line, characters; `--json` shows all of it.
 pub(super) const LONG: usize = 2000;

@@ -278,11 +278,10 @@ impl Inbox {
         };
         if fresh[0] {
             // The step's side only tries the lock, so it never waits for this.
-            let text = self
-                .toll
-                .last
-                .try_lock()
-                .map_or_else(|_| String::new(), |last| crate::plain::sentence(&last.bytes[..last.len]));
+            let text = self.toll.last.try_lock().map_or_else(
+                |_| String::new(),
+                |last| trocar_model::plain::sentence(&last.bytes[..last.len]),
+            );
             let last = if text.is_empty() { "without a reason" } else { &text };
             say("failed", &format!(": {} so far, the last one: {last}", now[0]));
         }

@@ -9,11 +9,11 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use tokio::sync::broadcast;
 use trocar_model::ComponentId;
+use trocar_model::plain::sentence;
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::wake::Waker;
 
 use super::api::{LogLine, News};
-use crate::plain::sentence;
 
 /// Lines the ring holds.
 const DEPTH: usize = 1024;

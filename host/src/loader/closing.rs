@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use trocar_rt::house;
+use trocar_rt::threads;
 
 use super::load::LoadedPlugin;
-use crate::threads;
 
 /// Threads that the host did not start, by number and when each began.
 pub(super) struct Others(BTreeMap<i32, u64>);

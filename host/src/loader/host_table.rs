@@ -69,7 +69,7 @@ unsafe fn harmless(bytes: &Bytes) -> String {
         return String::new();
     }
     // SAFETY: the caller's promise.
-    crate::plain::sentence(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
+    trocar_model::plain::sentence(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
 /// A plugin without an instance has no identity to ask for services with.

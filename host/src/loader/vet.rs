@@ -13,6 +13,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use trocar_model::plain::sentence;
 use trocar_plugin_api::environment;
 use trocar_rt::house;
 
@@ -20,7 +21,6 @@ use super::error::Stage;
 use super::load::LoadFault;
 use super::store::lock;
 use super::{Fault, PluginError};
-use crate::plain::sentence;
 
 /// Hidden subcommand of the host binary: `__vet FILE`.
 pub const VET_ARG: &str = "__vet";

@@ -55,9 +55,10 @@ pub(super) use remains::AllRemains;
 pub(super) use same::{same_input, same_output, same_provided, same_required};
 pub(super) use tap::{CommandTap, EventTap, plain_outcome};
 
-use super::instance::Instance;
 use trocar_plugin_api::abi::{ErrBuf, STATUS_OK, STATUS_UNSUPPORTED, Sink, Status};
 use trocar_rt::turn;
+
+use super::instance::Instance;
 
 /// Words viewed as their bytes.
 pub(super) fn as_bytes(words: &[u64]) -> &[u8] {
@@ -68,7 +69,7 @@ pub(super) fn as_bytes(words: &[u64]) -> &[u8] {
 /// The text in an error buffer; empty for a null one.
 pub(super) fn sentence(err: *mut ErrBuf) -> String {
     // SAFETY: null, or a buffer of this host that a plugin wrote at most `cap` bytes into.
-    unsafe { err.as_ref() }.map_or_else(String::new, |err| crate::plain::sentence(text_in(err)))
+    unsafe { err.as_ref() }.map_or_else(String::new, |err| trocar_model::plain::sentence(text_in(err)))
 }
 
 /// The bytes in an error buffer of this host, or of a caller that lent one.

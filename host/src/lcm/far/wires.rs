@@ -345,7 +345,7 @@ impl ServerWires {
         let ServerWires::Calls { panicked, .. } = self else { return };
         let more = count.saturating_sub(panicked.fetch_max(count, Ordering::Relaxed)).min(MOST_PANICS);
         if more > 0 {
-            let text = format!("{} (in process {other})", crate::plain::sentence(text));
+            let text = format!("{} (in process {other})", trocar_model::plain::sentence(text));
             here.instance.counters.failed_times(Misuse::ReadPanicked, more, text.as_bytes());
         }
     }

@@ -356,7 +356,7 @@ impl Worker {
             }
             (Role::Client, Words::Declined { why, later, .. }) => {
                 half.asked(None);
-                let why = crate::plain::sentence(why.as_bytes());
+                let why = trocar_model::plain::sentence(why.as_bytes());
                 half.fail(format!("process {} declines: {why}", half.other()), !later);
             }
             (Role::Client, Words::Pools { epoch, pools, .. }) => {
@@ -364,7 +364,7 @@ impl Worker {
             }
             (Role::Client, Words::Told { epoch, number, outcome, stamp_ns, value_bytes, .. }) => {
                 let (value, text) = behind.split_at(behind.len().min(value_bytes as usize));
-                let text = crate::plain::sentence(text);
+                let text = trocar_model::plain::sentence(text);
                 let answer = ReadAnswer { outcome, stamp_ns, value: value.to_vec(), text };
                 half.with_wires(session, epoch, |wires| {
                     if let Wires::Client(ClientWires::Calls { asks, .. }) = wires {

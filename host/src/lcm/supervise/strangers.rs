@@ -9,12 +9,12 @@ mod tests;
 use std::collections::BTreeSet;
 use std::fs;
 
+use trocar_rt::threads;
 use trocar_rt::{house, os};
 
 use super::super::executor;
 use super::hygiene::is_own_process;
 use super::roster::Ward;
-use crate::threads;
 
 /// Numbers of threads that began at about the same time are less than this apart; where they are more, the
 /// kernel has come to its highest number and begun anew.

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use trocar_model::{Binding, Connection, CopyRun, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
+use trocar_rt::os;
 use trocar_rt::segment::{Agreed, FarCalls, Rows, Stream};
 use trocar_rt::state::StateReader;
 use trocar_rt::stream::{FarViews, StreamCounters, StreamReader};
@@ -25,7 +26,6 @@ use super::super::super::inbox::{Check, Inbox};
 use super::super::super::instance::Loss;
 use super::super::asks::Asks;
 use super::super::terms::{Reading, Way, commands, of_rows, size};
-use trocar_rt::os;
 
 use super::{Here, full, is_status, settle};
 

@@ -5,13 +5,13 @@
 use std::borrow::Cow;
 
 /// The text a plugin wrote into `bytes`, padding cut off.
-pub(crate) fn sentence(bytes: &[u8]) -> String {
+pub fn sentence(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(bytes);
     harmless(text.trim_end_matches(['\0', '\n', '\r', ' '])).into_owned()
 }
 
 /// `text` with everything that moves a cursor, changes a colour, begins a line or turns the writing direction escaped.
-pub(crate) fn harmless(text: &str) -> Cow<'_, str> {
+pub fn harmless(text: &str) -> Cow<'_, str> {
     if !text.contains(obeyed) {
         return text.into();
     }
@@ -23,12 +23,12 @@ pub(crate) fn harmless(text: &str) -> Cow<'_, str> {
 }
 
 /// As [`harmless`], for a text of the host's own that may have several lines: those after the first are indented.
-pub(crate) fn paragraph(text: &str) -> Cow<'_, str> {
+pub fn paragraph(text: &str) -> Cow<'_, str> {
     each_line(text, "\n    ")
 }
 
 /// As [`harmless`], for a page: its lines stay as they are.
-pub(crate) fn lines(text: &str) -> Cow<'_, str> {
+pub fn lines(text: &str) -> Cow<'_, str> {
     each_line(text, "\n")
 }
 
@@ -40,7 +40,7 @@ fn each_line<'a>(text: &'a str, between: &str) -> Cow<'a, str> {
 }
 
 /// JSON text, in which such characters stand inside strings only, in JSON's own escapes.
-pub(crate) fn json(text: &str) -> Cow<'_, str> {
+pub fn json(text: &str) -> Cow<'_, str> {
     if !text.contains(obeyed) {
         return text.into();
     }

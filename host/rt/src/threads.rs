@@ -11,7 +11,7 @@ const LISTS: usize = 16;
 /// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one
 /// out for each that ends before the reader's place meanwhile; then the next list lacks that one, so that two
 /// that are the same are whole.
-pub(crate) fn list() -> BTreeSet<i32> {
+pub fn list() -> BTreeSet<i32> {
     let listed = || -> BTreeSet<i32> {
         let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
         tasks.filter_map(|t| t.file_name().to_str()?.parse().ok()).collect()
@@ -33,7 +33,7 @@ pub(crate) fn list() -> BTreeSet<i32> {
 
 /// When a thread of this process began, ticks since boot, so that a number given again can be told apart; 0
 /// when it is gone.
-pub(crate) fn began(tid: i32) -> u64 {
+pub fn began(tid: i32) -> u64 {
     let text = word(tid, "stat");
     // The name before the last parenthesis may hold anything; the 20th word after it is the time.
     let after = text.rfind(')').map_or("", |at| &text[at + 1..]);
@@ -41,7 +41,7 @@ pub(crate) fn began(tid: i32) -> u64 {
 }
 
 /// Name of a thread of this process; empty when it is gone.
-pub(crate) fn name(tid: i32) -> String {
+pub fn name(tid: i32) -> String {
     word(tid, "comm").trim_end().to_owned()
 }
 
