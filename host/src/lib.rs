@@ -9,11 +9,6 @@ pub mod doctor;
 pub mod gcm;
 pub mod host;
 pub mod lcm;
-#[allow(
-    unsafe_code,
-    reason = "maps files that were checked, and asks the system what the standard library does not"
-)]
-pub mod loader;
 pub mod processes;
 mod runtime_dir;
 pub mod system_file;
@@ -22,6 +17,8 @@ pub mod system_file;
 #[allow(unreachable_pub, reason = "it is public where it lies")]
 mod watchdog;
 
+/// Plugin files, for programs that look into one without a host.
+pub use trocar_loader as loader;
 /// Names, states, requests and refusals: what the methods of [`Host`] take and answer.
 pub use trocar_model as model;
 pub use trocar_plugin_api::abi::StaticPlugin;

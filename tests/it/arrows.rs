@@ -18,7 +18,11 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-sdk", &["trocar-sdk-derive", "trocar-plugin-api"]),
     ("trocar-rt", &["trocar-plugin-api"]),
     ("trocar-links", &["trocar-rt"]),
-    ("trocar", &["trocar-model", "trocar-links", "trocar-rt", "trocar-proto", "trocar-plugin-api"]),
+    ("trocar-loader", &["trocar-model", "trocar-rt", "trocar-plugin-api"]),
+    (
+        "trocar",
+        &["trocar-loader", "trocar-model", "trocar-links", "trocar-rt", "trocar-proto", "trocar-plugin-api"],
+    ),
     ("trocar-conform-classes", &["trocar-sdk"]),
     ("trocar-fft", &[]),
     ("trocar-oct-core", &["trocar-fft"]),

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::json;
+use trocar_loader::Trust;
 use trocar_model::{Name, Refusal};
 use trocar_rt::os;
 
@@ -17,7 +18,6 @@ use crate::host::{
     Host, HostConfig, HostError, MemoryBounds, PortRules, StateChoice, StopRequest, Viewer, say_to_keeper,
     state_home,
 };
-use crate::loader::Trust;
 use crate::system_file::ProcessSpec;
 
 const EXAMPLES: &str = "\

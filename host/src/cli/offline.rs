@@ -7,13 +7,13 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use trocar_loader::{self as loader, AllowList, PluginEntry, Trust};
 use trocar_model::{Process, ProcessState, SystemGraph, Warnings};
 
 use super::failure::Failure;
 use super::hosting;
 use crate::host::HostError;
 use crate::lcm;
-use crate::loader::{self, AllowList, PluginEntry, Trust};
 use crate::system_file::{Draft, ProcessSpec, TrustSpec};
 
 /// Processes without components, and the plugin files that would be refused, with why.

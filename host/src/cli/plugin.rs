@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
+use trocar_loader::{self as loader, Inspection, PluginError};
 use trocar_plugin_api::manifest::{Class, Manifest};
 
 use super::failure::{Done, Exit, Failure};
@@ -14,7 +15,6 @@ use super::session::Session;
 use super::table::Table;
 use super::view::PluginView;
 use super::{out, plugin_check, plugin_new, style};
-use crate::loader::{self, Inspection, PluginError};
 
 /// Lists, inspects, checks and begins plugins.
 #[derive(Args, Debug)]

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use serde_json::json;
+use trocar_loader as loader;
 use trocar_plugin_api::contracts::{self, CONTRACTS, Contract, Violation};
 use trocar_plugin_api::manifest::Manifest;
 
 use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{out, plugin, style};
-use crate::loader;
 
 /// Checks whether a host would load the file, tried in a child process; with --as, a class against the contract of a standard
 /// device interface (docs/INTERFACES.md).

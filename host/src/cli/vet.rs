@@ -15,5 +15,5 @@ pub(super) struct VetArgs {
 }
 
 pub(super) fn run(args: &VetArgs) -> ExitCode {
-    crate::loader::vet_main(&args.file)
+    trocar_loader::vet_main(&args.file)
 }

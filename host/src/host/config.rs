@@ -4,12 +4,12 @@
 
 use std::path::PathBuf;
 
+use trocar_loader::Trust;
 use trocar_model::{Name, Refusal};
 use trocar_plugin_api::abi::StaticPlugin;
 
 use super::{Host, HostError, MemoryBounds, StateChoice};
 use crate::control::{PortRules, Viewer};
-use crate::loader::Trust;
 
 /// What a host is made from.
 #[derive(Clone, Debug)]

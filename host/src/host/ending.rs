@@ -10,12 +10,12 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use trocar_loader::WatchHandle;
 use trocar_rt::house;
 
 use super::{HostError, StateDir};
 use crate::control::Server;
 use crate::lcm::{LocalLcm, let_go_of_descriptors};
-use crate::loader::WatchHandle;
 
 /// How long components may take to stand still at the end.
 pub(super) const SHUTDOWN: Duration = Duration::from_secs(5);

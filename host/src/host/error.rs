@@ -5,10 +5,10 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use trocar_loader::StoreError;
 use trocar_model::Refusal;
 
 use crate::control::{ServeError, UplinkError};
-use crate::loader::StoreError;
 
 /// Why a host does not start, or has to end.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,6 +10,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinHandle;
+use trocar_loader::{CatalogChange, PluginEntry, PluginError};
 use trocar_model::{Request, Target};
 
 use super::announce::Announcement;
@@ -19,7 +20,6 @@ use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, th
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
 use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, keep_descriptors, stop_active};
-use crate::loader::{CatalogChange, PluginEntry, PluginError};
 use crate::runtime_dir::RuntimeDir;
 
 /// A running process of a system.

@@ -6,9 +6,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use trocar_loader::{PluginStore, PluginStoreConfig};
+
 use super::{HostConfig, HostError, StateDir};
 use crate::lcm::{Classes, StaticClasses, StoreClasses};
-use crate::loader::{PluginStore, PluginStoreConfig};
 
 /// A host's classes, and the store behind those of files.
 pub(super) struct Sources {

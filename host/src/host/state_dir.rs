@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use trocar_loader::Hash;
 use trocar_rt::os::{Unshared, unshared};
 
 use super::HostError;
-use crate::loader::Hash;
 use crate::runtime_dir::state_home;
 
 const LOCK: &str = "lock";

@@ -7,6 +7,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use trocar_loader::convert;
 use trocar_model::{Command, Ports, TAPS, Type};
 use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
 use trocar_rt::cell::BindingCell;
@@ -18,7 +19,6 @@ use super::boundary::{
     same_output, same_provided, same_required,
 };
 use super::context;
-use super::convert;
 use super::inbox::{From, Inbox, Position};
 use super::instance::{Entered, Instance};
 use super::lifecycle::Entry;

@@ -12,6 +12,7 @@ use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use trocar_loader::system;
 use trocar_model::plain::harmless;
 use trocar_model::{ClassInfo, ComponentId, Execution, State, StopReason};
 use trocar_plugin_api::abi::{HostTable, NOT_ACTIVE, Outcome, PEER_LOST};
@@ -39,7 +40,6 @@ use super::reading::Reading;
 use super::realtime::Settings;
 use super::services::Account;
 use super::supervise::{Entry, Moment, Watch};
-use super::system;
 
 /// Rows of a state table whose length nobody set.
 const STATE_ROWS: usize = 256;

@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
+use trocar_loader::system;
 use trocar_model::{
     Change, ClassInfo, ComponentId, Execution, ExecutionModel, Name, Phase, Refusal, StepTimes, Verb,
 };
@@ -44,7 +45,6 @@ use super::realtime::Memory;
 use super::services::Services;
 use super::store::governed;
 use super::supervise::{Entry, Manners, Roster, Watchdog};
-use super::system;
 
 /// Longest wait to get into a component again whose late work has to be taken back, ns.
 const UNDO_NS: u64 = 1_000_000_000;

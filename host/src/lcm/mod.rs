@@ -10,7 +10,6 @@ mod carriers;
 mod classes;
 mod connect;
 mod context;
-pub mod convert;
 mod cycle;
 mod dynamic;
 mod executor;
@@ -33,8 +32,6 @@ mod static_classes;
 mod stopping;
 mod store;
 mod supervise;
-mod system;
-mod taps;
 #[cfg(test)]
 mod tests;
 mod thumbnail;

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread::{self, JoinHandle};
 
+use trocar_loader::system;
 use trocar_model::{ComponentId, State};
 use trocar_plugin_api::abi::{
     DISABLED, INVALID_ARGUMENT, LOG_WARN, NOT_ACTIVE, Outcome, QUEUE_FULL, QUEUED, WOULD_BLOCK,
@@ -24,7 +25,6 @@ use super::executor::Executor;
 use super::instance::{Instance, Misuse};
 use super::local::LocalLcm;
 use super::supervise::Entry;
-use super::system;
 
 #[cfg(test)]
 pub(crate) use verb::VERBS as SERVICE_VERBS;

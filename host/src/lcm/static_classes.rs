@@ -5,14 +5,14 @@
 
 use std::sync::Arc;
 
+use trocar_loader::LinkedPlugin;
+use trocar_loader::convert;
 use trocar_model::{ClassInfo, Name, Refusal};
 use trocar_plugin_api::abi::StaticPlugin;
 
 use super::api::PluginInfo;
 use super::boundary::{self, LoadedClass};
 use super::classes::Classes;
-use super::convert;
-use crate::loader::LinkedPlugin;
 
 /// What stands where a plugin of a file has its path.
 pub const LINKED_IN: &str = "(linked in)";

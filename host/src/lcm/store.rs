@@ -5,14 +5,14 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use trocar_loader::convert;
+use trocar_loader::{Hash, ListedPlugin, PluginEntry, PluginError, PluginStore};
 use trocar_model::{ClassInfo, Name, Programs, Refusal};
 
 use super::api::PluginInfo;
 use super::boundary;
 use super::boundary::LoadedClass;
 use super::classes::Classes;
-use super::convert;
-use crate::loader::{Hash, ListedPlugin, PluginEntry, PluginError, PluginStore};
 
 /// What the classes of one file look like, or why they cannot be used.
 type Converted = Result<Vec<Arc<ClassInfo>>, String>;

@@ -227,8 +227,8 @@ fn requires_ctl() -> Ports {
 }
 
 fn requires_system() -> Ports {
-    let system = super::system::interface();
-    let get_state = &system.commands[super::system::GET_STATE];
+    let system = trocar_loader::system::interface();
+    let get_state = &system.commands[trocar_loader::system::GET_STATE];
     requires(&[(&get_state.name, get_state.ret.clone())])
 }
 

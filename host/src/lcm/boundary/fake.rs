@@ -57,7 +57,7 @@ pub(in crate::lcm) fn set_umask(mask: u32) {
 }
 
 /// Bytes of a row of GetState.
-const ROW: usize = crate::lcm::system::MAX_BYTES;
+const ROW: usize = trocar_loader::system::MAX_BYTES;
 
 /// What an instance was given by the host.
 #[derive(Clone, Copy)]
@@ -432,8 +432,8 @@ impl Classes for KnownClasses {
 
 /// The fake class as the graph knows it, with these ports, the system interface and the taps.
 pub(in crate::lcm) fn class(mut ports: trocar_model::Ports, safety: Safety) -> ClassInfo {
-    ports.provided.push(crate::lcm::system::interface());
-    crate::lcm::taps::append(&mut ports);
+    ports.provided.push(trocar_loader::system::interface());
+    trocar_loader::taps::append(&mut ports);
     ClassInfo {
         plugin: "fakes".into(),
         version: "1.0.0".into(),

@@ -7,12 +7,12 @@ use std::mem::MaybeUninit;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use trocar_loader::convert::MAX_PAYLOAD;
 use trocar_model::{ClassInfo, Command, Ports};
 use trocar_plugin_api::abi::{DISABLED, ErrBuf, NOT_ACTIVE, Outcome, STATUS_PANICKED};
 use trocar_rt::segment::Word;
 use trocar_rt::state::StateReader;
 
-use super::super::convert::MAX_PAYLOAD;
 use super::super::far::Mend;
 use super::super::instance::LastWords;
 use super::call::outcome_of;

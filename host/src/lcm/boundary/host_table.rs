@@ -157,7 +157,7 @@ pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
     // SAFETY: null, or the context of the instance that is being called on this very thread.
     match unsafe { context::component().as_ref() } {
         Some(host) => host.logs.push(host.number, level, target.as_bytes(), message.as_bytes()),
-        None => crate::loader::log_to_crate(plugin, level, target, message),
+        None => trocar_loader::log_to_crate(plugin, level, target, message),
     }
 }
 

@@ -120,7 +120,7 @@ fn tell(sink: *const Sink, text: &str) -> Status {
 }
 
 /// A class of the loader as the LCM keeps it.
-pub(super) fn loaded_class(class: crate::loader::LoadedClass) -> LoadedClass {
+pub(super) fn loaded_class(class: trocar_loader::LoadedClass) -> LoadedClass {
     let table = std::ptr::from_ref(class.table);
     // SAFETY: the loader checked the table; the plugin, kept beside it, stays mapped for the life of the process.
     unsafe { LoadedClass::new(table, class.plugin) }
@@ -128,7 +128,7 @@ pub(super) fn loaded_class(class: crate::loader::LoadedClass) -> LoadedClass {
 
 /// A class of a plugin linked into this program, by its position in the manifest.
 pub(super) fn linked_class(
-    plugin: &std::sync::Arc<crate::loader::LinkedPlugin>,
+    plugin: &std::sync::Arc<trocar_loader::LinkedPlugin>,
     index: usize,
 ) -> Option<LoadedClass> {
     let table = std::ptr::from_ref(plugin.table(index)?);

@@ -4,11 +4,11 @@
 
 use std::sync::Arc;
 
+use trocar_loader::convert::MAX_PAYLOAD;
 use trocar_plugin_api::abi::{
     CallOpts, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, STATUS_PANICKED,
 };
 
-use super::super::convert::MAX_PAYLOAD;
 use super::super::inbox::Position;
 use super::super::instance::{Instance, Misuse};
 use super::super::pending;

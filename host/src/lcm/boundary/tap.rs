@@ -6,6 +6,7 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use trocar_loader::taps::{HEAD, MOST};
 use trocar_plugin_api::abi::{
     EXECUTED, FAILED, INVALID_ARGUMENT, Outcome, STATUS_INVALID, STATUS_OK, Status,
 };
@@ -14,7 +15,6 @@ use trocar_rt::stream::Meta;
 
 use super::super::instance::Instance;
 use super::super::pending;
-use super::super::taps::{HEAD, MOST};
 use super::late;
 use super::output::OutCell;
 

@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use trocar_loader::convert::back;
 use trocar_model::{Binding, Command, Link, Refusal, Type};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::mailbox::Mailbox;
@@ -16,7 +17,6 @@ use super::super::boundary::{
     OutCell, OutLink, Shape,
 };
 use super::super::connect::{MAILBOX_DEPTH, Passage, REPLY_CELLS, passing, target};
-use super::super::convert::back;
 use super::super::dynamic::PortSet;
 use super::super::inbox::{From, Inbox};
 use super::super::instance::Instance;

@@ -9,6 +9,7 @@ use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use trocar_loader::system;
 use trocar_rt::exclusive::TryCell;
 use trocar_rt::os;
 use trocar_rt::region::Region;
@@ -18,7 +19,6 @@ use trocar_rt::state::StateWriter;
 use super::super::boundary::{ERR_BYTES, Reader, read_published};
 use super::super::inbox::Position;
 use super::super::instance::Instance;
-use super::super::system;
 use super::terms::of_rows;
 
 /// Time between two publications of period statistics, ns: they are sums over many cycles.

@@ -7,6 +7,7 @@ use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
+use trocar_loader::convert::back;
 use trocar_model::{Binding, Connection, PortType, Ports, Refusal};
 use trocar_rt::pool::PoolFile;
 use trocar_rt::segment::Agreed;
@@ -16,7 +17,6 @@ use trocar_rt::wake::Waker;
 use super::super::api::LinkDetail;
 use super::super::carriers::Joined;
 use super::super::connect::{passing, target};
-use super::super::convert::back;
 use super::super::dynamic::PortSet;
 use super::super::instance::Loss;
 use super::NAME;

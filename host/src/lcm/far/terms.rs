@@ -4,6 +4,7 @@
 //! Invariant: the same ports and options give the same terms in every process.
 
 use sha2::{Digest, Sha256};
+use trocar_loader::convert::back;
 use trocar_model::{
     Binding, ClassInfo, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Refusal, Type,
     bindings,
@@ -12,7 +13,6 @@ use trocar_rt::segment::{Agreed, CallShape, StreamShape};
 
 use super::super::boundary::ERR_BYTES;
 use super::super::connect::{MAILBOX_DEPTH, Passage, REPLY_CELLS};
-use super::super::convert::back;
 
 pub(in crate::lcm) struct Terms {
     pub(super) hash: u64,

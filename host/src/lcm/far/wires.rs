@@ -10,6 +10,8 @@ use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 use std::sync::{Arc, Weak};
 
+use trocar_loader::convert::back;
+use trocar_loader::system;
 use trocar_model::{Binding, ComponentId, Connection, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::segment::{Agreed, ServedCalls, Stream};
@@ -20,12 +22,10 @@ use super::super::api::LinkDetail;
 use super::super::boundary::{
     Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Reader, Shape,
 };
-use super::super::convert::back;
 use super::super::dynamic::PortSet;
 use super::super::executor::Executor;
 use super::super::inbox::{Check, From, Inbox};
 use super::super::instance::{Instance, Misuse};
-use super::super::system;
 use super::face::{Face, Shown, ShownRows};
 use super::serving::{Desk, Served};
 use super::terms::{Reading, Way, commands, size};

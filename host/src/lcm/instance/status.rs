@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 
+use trocar_loader::system;
 use trocar_model::{Health, State};
 use trocar_rt::os;
 
@@ -14,7 +15,7 @@ use super::super::boundary::EntryError;
 use super::super::gate::{pack, unpack};
 use super::super::realtime::Settings;
 use super::super::supervise::Moment;
-use super::super::{News, Report, context, system};
+use super::super::{News, Report, context};
 use super::Instance;
 
 /// Warnings kept of one component; the oldest gives way.

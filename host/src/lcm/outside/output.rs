@@ -9,13 +9,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tokio::sync::Semaphore;
+use trocar_loader::convert::back;
 use trocar_model::{PortId, PortType, Ports, Refusal, Type};
 use trocar_rt::os;
 use trocar_rt::stream::{Meta, Payload, Queue, StreamReader, stream_link};
 
 use super::super::api::Sample;
 use super::super::boundary::{Consumer, OUTSIDE, OutCell, OutLink};
-use super::super::convert::back;
 use super::super::instance::Instance;
 use super::super::local::LocalLcm;
 use super::super::thumbnail;

@@ -3,12 +3,12 @@
 //! Invariant: it never enters the component and never waits for it. What it says of time takes into account that the watchdog
 //! may itself have been kept from running.
 
+use trocar_loader::system;
 use trocar_model::{Health, State, StopReason};
 use trocar_plugin_api::abi::NOT_ACTIVE;
 use trocar_rt::os;
 
 use super::super::instance::Misuse;
-use super::super::system;
 use super::roster::Ward;
 use super::safe::give_up;
 use super::strangers::Strangers;

@@ -8,7 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use trocar_rt::os::{Descriptor, Lasting};
 
-use crate::loader::{self, Moment};
+use trocar_loader::{self as loader, Moment};
 
 use super::super::api::Concern;
 use super::super::hub::Hub;

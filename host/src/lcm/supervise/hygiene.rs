@@ -16,7 +16,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use trocar_model::Health;
 use trocar_rt::os::{self, Household, Hygiene};
 
-use crate::loader::{self, Moment};
+use trocar_loader::{self as loader, Moment};
 
 use super::super::instance::Instance;
 use super::descriptors;

@@ -10,12 +10,12 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
+use trocar_loader::system;
 use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED};
 use trocar_rt::house;
 
 use super::super::boundary::EntryError;
 use super::super::instance::Instance;
-use super::super::system;
 use super::roster::Ward;
 
 /// What is said of a `make_safe` that was called from here.

@@ -110,7 +110,7 @@ impl Behaviour for Looks {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_every_component_shows_is_of_now_in_a_step_of_another_process_too() {
     let pair = Pair::of(["ap_looks", "ap_shows"], Arc::new(FakeClasses));
-    let system = super::super::system::interface();
+    let system = trocar_loader::system::interface();
     let functions: Vec<_> = system.commands.iter().map(|c| (c.name.as_str(), c.ret.clone())).collect();
     let (client, server) = (class(requires(&functions), Safety::None), class(Ports::default(), Safety::None));
     let (looks, steps) = (Arc::new(Looks::default()), Arc::new(Steps::default()));

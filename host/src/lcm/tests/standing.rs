@@ -4,11 +4,12 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
+use trocar_loader::system;
 use trocar_model::{Handler, StopReason};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick};
 
+use super::super::When;
 use super::super::boundary::fake::{Device, Own};
-use super::super::{When, system};
 use super::*;
 
 /// Stays inside the first entry of one kind until the test lets go; notes what is done to it.

@@ -219,7 +219,7 @@ async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
 
 #[tokio::test]
 async fn events_are_told_and_nobody_else_hears_of_it() {
-    const WORDS: usize = (16 + super::super::system::MAX_BYTES) / 8;
+    const WORDS: usize = (16 + trocar_loader::system::MAX_BYTES) / 8;
     let world = World::new("tap_events");
     let taker = Arc::new(Taker::<WORDS>::default());
     let info = class(ctl(), Safety::None);

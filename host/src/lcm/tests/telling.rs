@@ -5,14 +5,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Barrier, Mutex, OnceLock, Weak};
 
+use trocar_loader::system;
 use trocar_model::StopReason;
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::mailbox::Mailbox;
 
+use super::super::News;
 use super::super::boundary::fake::Own;
 use super::super::boundary::{EventSink, Tap};
 use super::super::instance::Instance;
-use super::super::{News, system};
 use super::*;
 
 /// Everything the world can hear of one component.

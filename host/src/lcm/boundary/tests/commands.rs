@@ -363,10 +363,10 @@ fn events_are_queued_in_order_and_what_a_full_queue_loses_is_counted_and_told() 
     world.apply(trocar_model::Change::Connect { connection }).unwrap();
     let warned = world.instance("observer").described.now();
     let told = Arc::new(crate::lcm::boundary::Tap {
-        mailbox: trocar_rt::mailbox::Mailbox::new(8, crate::lcm::system::MESSAGE_BYTES, 0),
+        mailbox: trocar_rt::mailbox::Mailbox::new(8, trocar_loader::system::MESSAGE_BYTES, 0),
     });
     let sink = Arc::new(crate::lcm::boundary::EventSink::Tap(told.clone()));
-    warned.system_event(crate::lcm::system::WARNING).edit(|sinks| sinks.push(sink));
+    warned.system_event(trocar_loader::system::WARNING).edit(|sinks| sinks.push(sink));
     assert_eq!(server.emit(0, 1), EXECUTED);
     heard.recv().unwrap();
     assert_eq!([server.emit(0, 2), server.emit(0, 3)], [EXECUTED, EXECUTED]);

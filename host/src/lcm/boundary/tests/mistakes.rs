@@ -72,7 +72,7 @@ fn a_read_of_the_system_interface_without_a_place_for_it_is_invalid() {
     world.connect("asker/peer", "asked/system");
     assert_eq!(raw(asker, 0, null(), null_mut(), None), INVALID_ARGUMENT);
     assert_eq!(raw(asker, 0, null(), null_mut(), Some(&mut waiting())), INVALID_ARGUMENT);
-    let mut row = [0u64; crate::lcm::system::MAX_BYTES / 8];
+    let mut row = [0u64; trocar_loader::system::MAX_BYTES / 8];
     assert_eq!(raw(asker, 0, null(), row.as_mut_ptr(), None), EXECUTED);
     assert!(crate::lcm::boundary::as_bytes(&row).windows(6).any(|w| w == b"ACTIVE"));
 }

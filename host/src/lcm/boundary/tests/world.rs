@@ -135,7 +135,7 @@ impl World {
             "types": types(), "classes": [class(name, ports)],
         }))
         .unwrap();
-        let info = crate::lcm::convert::classes(&manifest, "").unwrap().remove(0);
+        let info = trocar_loader::convert::classes(&manifest, "").unwrap().remove(0);
         let id = self.id(name);
         enrol(&id, script);
         let component = Box::new(Component {

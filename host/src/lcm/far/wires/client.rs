@@ -6,6 +6,7 @@ use std::io;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
 
+use trocar_loader::convert::back;
 use trocar_model::{Binding, Connection, CopyRun, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::os;
@@ -20,7 +21,6 @@ use super::super::super::boundary::{
     InLink, Newest, OwnClass, OwnRead, OwnRows, Panics, RangeCheck, Shape,
 };
 use super::super::super::connect::lane;
-use super::super::super::convert::back;
 use super::super::super::dynamic::PortSet;
 use super::super::super::inbox::{Check, Inbox};
 use super::super::super::instance::Loss;

@@ -131,7 +131,7 @@ fn the_process_that_is_looked_at() {
     assert_eq!(look(true), Found::Settled);
     assert_eq!(place(), home);
     // A load that is under way changes it; the load puts it back and says so.
-    let loading = crate::loader::Loading::begin();
+    let loading = trocar_loader::Loading::begin();
     env::set_current_dir("/").unwrap();
     assert_eq!(look(true), Found::TooEarly, "a plugin is being loaded");
     assert_ne!(place(), home);

@@ -31,10 +31,10 @@ pub struct AllowList {
 
 /// What `fstat` says about an opened file, and who asks.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ownership {
-    pub(crate) uid: u32,
-    pub(crate) mode: u32,
-    pub(crate) own_uid: u32,
+pub struct Ownership {
+    pub uid: u32,
+    pub mode: u32,
+    pub own_uid: u32,
 }
 
 /// Larger allow lists are not read, bytes.
@@ -58,12 +58,12 @@ impl FromStr for Trust {
 
 impl Trust {
     /// True when symbolic links are refused even inside the plugin directory.
-    pub(crate) fn refuses_links(&self) -> bool {
+    pub fn refuses_links(&self) -> bool {
         matches!(self, Trust::AllowList(_))
     }
 
     /// Judges owner and mode; the answer is what to warn about.
-    pub(crate) fn judge_owner(&self, file: Ownership) -> Result<Vec<String>, Fault> {
+    pub fn judge_owner(&self, file: Ownership) -> Result<Vec<String>, Fault> {
         if file.uid != file.own_uid && file.uid != 0 {
             return Err(Fault::ForeignOwner { owner: file.uid, own: file.own_uid });
         }
@@ -79,7 +79,7 @@ impl Trust {
         }
     }
 
-    pub(crate) fn judge_hash(&self, hash: &Hash) -> Result<(), Fault> {
+    pub fn judge_hash(&self, hash: &Hash) -> Result<(), Fault> {
         match self {
             Trust::Dev => Ok(()),
             Trust::AllowList(list) if list.hashes.contains(hash) => Ok(()),

@@ -44,9 +44,9 @@ type Beside = Vec<(PathBuf, Option<Signature>)>;
 
 /// One look at all directories.
 pub(crate) struct Scan {
-    pub(crate) findings: Vec<Finding>,
+    pub findings: Vec<Finding>,
     /// Files still being written: look again after [`SETTLE`].
-    pub(crate) unsettled: bool,
+    pub unsettled: bool,
 }
 
 impl Scanner {

@@ -34,11 +34,11 @@ pub struct Inspection {
 }
 
 /// What the bytes say.
-pub(crate) struct Facts {
-    pub(crate) manifest: Manifest,
-    pub(crate) needed: Vec<String>,
-    pub(crate) brought: Vec<Brought>,
-    pub(crate) warnings: Vec<String>,
+pub struct Facts {
+    pub manifest: Manifest,
+    pub needed: Vec<String>,
+    pub brought: Vec<Brought>,
+    pub warnings: Vec<String>,
 }
 
 /// Inspects a file somebody names; ownership and trust are not judged.

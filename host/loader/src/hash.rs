@@ -20,7 +20,7 @@ impl Hash {
 
     /// The hash of a plugin with the libraries it brings, in any order: another one when any of them is
     /// another. Without libraries it is that of the file.
-    pub(crate) fn with(self, brought: &[(&str, Hash)]) -> Hash {
+    pub fn with(self, brought: &[(&str, Hash)]) -> Hash {
         if brought.is_empty() {
             return self;
         }

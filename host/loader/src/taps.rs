@@ -8,9 +8,9 @@ use trocar_model::{EnumType, Field, Output, PortType, Ports, Prim, StructType, T
 use trocar_plugin_api::abi;
 
 /// Bytes before the payload of an event or command.
-pub(super) const HEAD: usize = 16;
+pub const HEAD: usize = 16;
 /// Bytes kept of a payload at most.
-pub(super) const MOST: usize = 4096;
+pub const MOST: usize = 4096;
 
 /// Types nested deeper are not described within a tap's type: whoever reads descriptions reads 32 levels, and two are the tap's own.
 const DEEPEST: usize = 30;
@@ -43,7 +43,7 @@ struct Member<'p> {
 }
 
 /// Appends the taps of a component with these ports, the system interface included.
-pub(super) fn append(ports: &mut Ports) {
+pub fn append(ports: &mut Ports) {
     let tag = tag(ports);
     let tap = |name: &str, doc: &str, ty: Type| Output {
         name: name.into(),

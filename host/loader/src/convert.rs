@@ -14,7 +14,7 @@ use std::sync::Arc;
 use trocar_model as model;
 use trocar_plugin_api::manifest as wire;
 
-use super::{system, taps};
+use crate::{system, taps};
 
 /// Largest payload that may pass through a mailbox or a state table, bytes.
 pub const MAX_PAYLOAD: usize = 64 * 1024;

@@ -60,7 +60,7 @@ impl LinkedPlugin {
     }
 
     /// The table of a class, by its position in the manifest.
-    pub(crate) fn table(&self, index: usize) -> Option<&'static ClassTable> {
+    pub fn table(&self, index: usize) -> Option<&'static ClassTable> {
         self.classes.get(index).copied()
     }
 }

@@ -9,17 +9,17 @@ use super::Fault;
 #[derive(Debug, Default)]
 pub(crate) struct Elf<'a> {
     /// The manifest: descriptor of the `.note.trocar` note.
-    pub(crate) note: Option<&'a [u8]>,
+    pub note: Option<&'a [u8]>,
     /// Libraries by DT_NEEDED, in order.
-    pub(crate) needed: Vec<&'a str>,
+    pub needed: Vec<&'a str>,
     /// DT_RPATH: for itself and for what the libraries it needs look for.
-    pub(crate) rpaths: Vec<&'a str>,
+    pub rpaths: Vec<&'a str>,
     /// DT_RUNPATH: for itself alone; then DT_RPATH does not count.
-    pub(crate) runpaths: Vec<&'a str>,
+    pub runpaths: Vec<&'a str>,
     /// Names `_Unwind_RaiseException`: it can unwind a panic.
-    pub(crate) unwinds: bool,
+    pub unwinds: bool,
     /// The first symbol with binding STB_GNU_UNIQUE that is not the C++ library's own.
-    pub(crate) unique_symbol: Option<&'a str>,
+    pub unique_symbol: Option<&'a str>,
 }
 
 #[cfg(target_arch = "x86_64")]

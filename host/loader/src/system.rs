@@ -8,23 +8,23 @@ use std::sync::Arc;
 use trocar_model::{Command, CommandKind, Event, Field, Overflow, Prim, Provided, StructType, Tag, Type};
 
 /// Its name; no class may use it for a port of its own.
-pub(super) const INTERFACE: &str = "system";
+pub const INTERFACE: &str = "system";
 
 /// Positions of its commands, counted from its first.
-pub(super) const GET_STATE: usize = 0;
-pub(super) const PERIOD_STATISTICS: usize = 1;
+pub const GET_STATE: usize = 0;
+pub const PERIOD_STATISTICS: usize = 1;
 
 /// Positions of its events, counted from its first.
-pub(super) const STATUS: usize = 0;
-pub(super) const WARNING: usize = 1;
-pub(super) const ERROR: usize = 2;
-pub(super) const STATE_CHANGED: usize = 3;
+pub const STATUS: usize = 0;
+pub const WARNING: usize = 1;
+pub const ERROR: usize = 2;
+pub const STATE_CHANGED: usize = 3;
 
 /// Room for the sentence of a message event, bytes.
 const TEXT: usize = 248;
 
 /// The interface as it is appended to each class.
-pub(super) fn interface() -> Provided {
+pub fn interface() -> Provided {
     let read = |name: &str, doc: &str, ret: Type| Command {
         name: name.into(),
         doc: doc.into(),
@@ -100,17 +100,17 @@ fn message_type() -> Type {
 }
 
 /// Figures of `period_statistics`, in the order of its fields.
-pub(super) struct Statistics {
-    pub(super) stamp_ns: u64,
+pub struct Statistics {
+    pub stamp_ns: u64,
     /// avg, std, min, max; s.
-    pub(super) period: [f64; 4],
-    pub(super) compute: [f64; 4],
+    pub period: [f64; 4],
+    pub compute: [f64; 4],
     /// p50, p99, max; s.
-    pub(super) lateness: [f64; 3],
-    pub(super) load: f64,
-    pub(super) executed: u64,
-    pub(super) skipped: u64,
-    pub(super) overruns: u64,
+    pub lateness: [f64; 3],
+    pub load: f64,
+    pub executed: u64,
+    pub skipped: u64,
+    pub overruns: u64,
 }
 
 fn statistics_type() -> Type {
@@ -140,7 +140,7 @@ fn statistics_type() -> Type {
 }
 
 /// Writes a `PeriodStatistics` row; `out` has the type's size.
-pub(super) fn write_statistics(s: &Statistics, out: &mut [u8]) {
+pub fn write_statistics(s: &Statistics, out: &mut [u8]) {
     let mut put = Put { out, at: 0 };
     put.word(s.stamp_ns);
     for value in s.period.iter().chain(&s.compute).chain(&s.lateness) {
@@ -153,7 +153,7 @@ pub(super) fn write_statistics(s: &Statistics, out: &mut [u8]) {
 }
 
 /// Writes a `ComponentStatus` row.
-pub(super) fn write_status(stamp_ns: u64, state: &str, health: &str, fault: &str, out: &mut [u8]) {
+pub fn write_status(stamp_ns: u64, state: &str, health: &str, fault: &str, out: &mut [u8]) {
     let mut put = Put { out, at: 0 };
     put.word(stamp_ns);
     put.text(state, 24);
@@ -162,17 +162,17 @@ pub(super) fn write_status(stamp_ns: u64, state: &str, health: &str, fault: &str
 }
 
 /// Writes a `SystemMessage`.
-pub(super) fn write_message(stamp_ns: u64, text: &str, out: &mut [u8]) {
+pub fn write_message(stamp_ns: u64, text: &str, out: &mut [u8]) {
     let mut put = Put { out, at: 0 };
     put.word(stamp_ns);
     put.text(text, TEXT);
 }
 
 /// Bytes of the largest payload of this interface.
-pub(super) const MAX_BYTES: usize = 8 + 2 * (8 + 24) + 8 + TEXT;
+pub const MAX_BYTES: usize = 8 + 2 * (8 + 24) + 8 + TEXT;
 
 /// Bytes of a `SystemMessage`.
-pub(super) const MESSAGE_BYTES: usize = 8 + 8 + TEXT;
+pub const MESSAGE_BYTES: usize = 8 + 8 + TEXT;
 
 struct Put<'a> {
     out: &'a mut [u8],

@@ -8,6 +8,8 @@ mod cache;
 mod catalog;
 mod child;
 mod closing;
+#[forbid(unsafe_code)]
+pub mod convert;
 mod elf;
 mod error;
 mod file;
@@ -23,7 +25,11 @@ mod manifest;
 mod resident;
 mod scan;
 mod store;
+#[forbid(unsafe_code)]
+pub mod system;
 mod table;
+#[forbid(unsafe_code)]
+pub mod taps;
 mod trust;
 mod vet;
 mod watch;
@@ -36,15 +42,15 @@ pub use host_table::{LogFn, log_to_crate};
 pub use inspect::{Inspection, inspect_file};
 pub use linked::LinkedPlugin;
 pub use listed::{ClassRef, ListedPlugin};
-#[cfg(test)]
-pub(crate) use load::Loading;
-pub use load::{LoadedClass, LoadedPlugin};
-pub(crate) use load::{Moment, has_loaded_since, moment};
-pub(crate) use store::check_dir;
-pub use store::{PluginStore, PluginStoreConfig, look};
+pub use load::{LoadedClass, LoadedPlugin, Loading, Moment, has_loaded_since, moment};
+pub use store::{PluginStore, PluginStoreConfig, check_dir, look};
 pub use trust::{AllowList, Trust};
 pub use vet::{VET_ARG, try_file};
 pub use watch::WatchHandle;
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+#[path = "../../../tests/src/watchdog.rs"]
+#[allow(unreachable_pub, reason = "it is public where it lies")]
+mod watchdog;

@@ -31,7 +31,7 @@ fn built(more: &str, entry: &str, init: &str) -> Vec<u8> {
         .replace("@MORE@", &more.replace('"', "\\\""))
         .replace("@ENTRY@", entry)
         .replace("@INIT@", init);
-    let header = concat!("-I", env!("CARGO_MANIFEST_DIR"), "/../sdk/c");
+    let header = concat!("-I", env!("CARGO_MANIFEST_DIR"), "/../../sdk/c");
     let out = dir.path().join("probe.so");
     compile(&dir.path().join("probe.c"), &source, &out, &["-shared".into(), header.into()]);
     std::fs::read(out).unwrap()

@@ -12,7 +12,7 @@ use trocar_plugin_api::manifest::{Class, Command, Manifest, PortType, Type};
 use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR};
 
 use super::{Fault, keys};
-use crate::lcm::convert;
+use crate::convert;
 
 /// Longest plugin or class name, bytes.
 const MAX_NAME: usize = 64;

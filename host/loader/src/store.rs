@@ -89,7 +89,7 @@ impl PluginStore {
         PluginStore::open_with_limit(config, VET_LIMIT)
     }
 
-    pub(crate) fn open_with_limit(
+    pub fn open_with_limit(
         config: PluginStoreConfig,
         vet_limit: Duration,
     ) -> Result<Arc<PluginStore>, StoreError> {
@@ -360,7 +360,7 @@ pub(super) fn is_called(name: &str, file: &Path, plugin: Option<&str>) -> bool {
 ///
 /// # Errors
 /// It is missing, no directory, unreadable.
-pub(crate) fn check_dir(dir: &Path) -> Result<(), StoreError> {
+pub fn check_dir(dir: &Path) -> Result<(), StoreError> {
     let dir = dir.to_path_buf();
     let wrong = |e: std::io::Error| match e.kind() {
         std::io::ErrorKind::NotFound => StoreError::DirMissing { dir: dir.clone() },

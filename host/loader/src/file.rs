@@ -18,14 +18,14 @@ use super::{Fault, Hash, Trust};
 pub(crate) const SIZE_LIMIT: u64 = 256 << 20;
 
 /// A plugin file in memory.
-pub(crate) struct FileBytes {
-    pub(crate) bytes: Vec<u8>,
-    pub(crate) hash: Hash,
+pub struct FileBytes {
+    pub bytes: Vec<u8>,
+    pub hash: Hash,
     /// User id.
-    pub(crate) owner: u32,
+    pub owner: u32,
     /// Permission bits.
-    pub(crate) mode: u32,
-    pub(crate) warnings: Vec<String>,
+    pub mode: u32,
+    pub warnings: Vec<String>,
 }
 
 /// A plugin directory, held open so that one scan looks at one directory.
@@ -39,9 +39,9 @@ pub(crate) struct PluginDir {
 pub(crate) struct Signature {
     device: u64,
     inode: u64,
-    pub(crate) size: u64,
+    pub size: u64,
     /// Both in ns since the epoch.
-    pub(crate) modified_ns: i128,
+    pub modified_ns: i128,
     changed_ns: i128,
 }
 

@@ -6,14 +6,14 @@ use std::path::Path;
 use trocar_plugin_api::manifest::Manifest;
 
 use super::*;
-use crate::loader::file::FileBytes;
-use crate::loader::inspect::Facts;
+use crate::file::FileBytes;
+use crate::inspect::Facts;
 
 fn plugin(file: &str, name: &str, content: &[u8]) -> Finding {
     let text = format!(r#"{{"trocar":1,"abi":[1,0],"name":"{name}","version":"1.0.0","classes":[]}}"#);
     let manifest = Manifest::parse(text.as_bytes()).unwrap();
     let facts = Facts { manifest, needed: Vec::new(), brought: Vec::new(), warnings: Vec::new() };
-    let hash = crate::loader::Hash::of(content);
+    let hash = crate::Hash::of(content);
     let read = FileBytes { bytes: content.to_vec(), hash, owner: 0, mode: 0o644, warnings: Vec::new() };
     let listed = ListedPlugin::new(Path::new(file), read, facts);
     Finding { file: file.into(), outcome: Ok(Arc::new(listed)) }

@@ -32,8 +32,8 @@ pub struct ListedPlugin {
 
 /// The bytes that go into the cache.
 pub(crate) struct Content {
-    pub(crate) bytes: Vec<u8>,
-    pub(crate) brought: Vec<Brought>,
+    pub bytes: Vec<u8>,
+    pub brought: Vec<Brought>,
     needed: Vec<String>,
 }
 
@@ -65,7 +65,7 @@ impl ClassRef {
 
 impl ListedPlugin {
     /// Logs nothing; the warnings are those of file and facts.
-    pub(crate) fn new(path: &Path, file: FileBytes, facts: Facts) -> ListedPlugin {
+    pub fn new(path: &Path, file: FileBytes, facts: Facts) -> ListedPlugin {
         let Facts { manifest, needed, brought, warnings } = facts;
         let hashes: Vec<_> = brought.iter().map(|library| (library.name.as_str(), library.hash)).collect();
         let hash = file.hash.with(&hashes);

@@ -73,7 +73,7 @@ impl LoadedPlugin {
         }
     }
 
-    pub(crate) fn class(self: &Arc<Self>, index: usize) -> Option<LoadedClass> {
+    pub fn class(self: &Arc<Self>, index: usize) -> Option<LoadedClass> {
         let table = *self.classes.get(index)?;
         let class = self.manifest.classes.get(index)?.clone();
         Some(LoadedClass { table, class, plugin: self.clone() })
@@ -83,7 +83,7 @@ impl LoadedPlugin {
 /// What the child reports and the host may also meet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum LoadFault {
+pub enum LoadFault {
     UndefinedSymbol {
         symbol: String,
     },
@@ -130,9 +130,9 @@ impl From<LoadFault> for Fault {
 /// The names of libraries that have to stand for the right ones before a plugin is opened.
 pub(crate) struct Libraries {
     /// Names of the libraries it needs.
-    pub(crate) needed: Vec<String>,
+    pub needed: Vec<String>,
     /// Libraries it brings.
-    pub(crate) brought: Vec<(String, Hash)>,
+    pub brought: Vec<(String, Hash)>,
 }
 
 /// A library that was opened and whose entry agrees with its manifest.
@@ -152,10 +152,10 @@ static ONE: Mutex<()> = Mutex::new(());
 const HANGS_NS: u64 = 10_000_000_000;
 
 /// A load under way. What the process is found to be meanwhile is the load's doing, and its own to put back.
-pub(crate) struct Loading(#[expect(dead_code, reason = "held")] MutexGuard<'static, ()>);
+pub struct Loading(#[expect(dead_code, reason = "held")] MutexGuard<'static, ()>);
 
 impl Loading {
-    pub(crate) fn begin() -> Loading {
+    pub fn begin() -> Loading {
         let one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
         BEGAN_NS.store(os::now_ns(), Ordering::SeqCst);
         LOADS.0.fetch_add(1, Ordering::SeqCst);
@@ -171,16 +171,16 @@ impl Drop for Loading {
 
 /// A moment, as [`has_loaded_since`] asks for it.
 #[derive(Clone, Copy)]
-pub(crate) struct Moment(u64);
+pub struct Moment(u64);
 
 /// Now, counted in loads that have ended.
-pub(crate) fn moment() -> Moment {
+pub fn moment() -> Moment {
     Moment(LOADS.1.load(Ordering::SeqCst))
 }
 
 /// A plugin's code was being loaded at that moment, or at any time since, and does not hang. Asked after the look that it is to
 /// explain.
-pub(crate) fn has_loaded_since(moment: Moment) -> bool {
+pub fn has_loaded_since(moment: Moment) -> bool {
     let began = LOADS.0.load(Ordering::SeqCst);
     let is_inside = began != LOADS.1.load(Ordering::SeqCst);
     let hangs = is_inside && os::now_ns().saturating_sub(BEGAN_NS.load(Ordering::SeqCst)) > HANGS_NS;

@@ -12,12 +12,12 @@ use super::file::{FileBytes, is_library_name};
 use super::{Fault, Hash, libraries};
 
 /// A library beside a plugin, read and judged.
-pub(crate) struct Brought {
+pub struct Brought {
     /// The name it is needed by.
-    pub(crate) name: String,
-    pub(crate) hash: Hash,
-    pub(crate) bytes: Vec<u8>,
-    pub(crate) warnings: Vec<String>,
+    pub name: String,
+    pub hash: Hash,
+    pub bytes: Vec<u8>,
+    pub warnings: Vec<String>,
 }
 
 /// More libraries than this are not read.

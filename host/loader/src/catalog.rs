@@ -37,8 +37,8 @@ pub enum CatalogChange {
 /// One file and what became of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Finding {
-    pub(crate) file: PathBuf,
-    pub(crate) outcome: Result<Arc<ListedPlugin>, Fault>,
+    pub file: PathBuf,
+    pub outcome: Result<Arc<ListedPlugin>, Fault>,
 }
 
 impl PluginEntry {
