@@ -9,7 +9,7 @@ use trocar_model::Name;
 use trocar_rt::wake::Waker;
 
 use super::api::{self, Concern, News};
-use super::boundary::AllRemains;
+use super::boundary::{AllRemains, HostContext, SharedTable, Slots};
 use super::instance::Instance;
 use super::logs::LogRing;
 use super::reading::Readers;
@@ -66,6 +66,18 @@ impl Hub {
         }
         // Nobody listening is fine: the inventory has it.
         let _ = self.news.send(News::Warnings(api::warnings(&all)));
+    }
+
+    /// Keeps what a component leaves that is dropped, and has it looked at again while a cycle may still look there.
+    pub(super) fn keep_remains(
+        &self,
+        host: &Arc<HostContext>,
+        table: Arc<SharedTable>,
+        slots: Vec<Arc<Slots>>,
+    ) {
+        if self.remains.take(host, table, slots) {
+            self.ports.notify();
+        }
     }
 
     /// Keeps a component for ever, on purpose, and says so.

@@ -595,8 +595,6 @@ impl Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        if self.hub.remains.take(&self.host, self.host_table.clone(), self.described.all_slots()) {
-            self.hub.ports.notify();
-        }
+        self.hub.keep_remains(&self.host, self.host_table.clone(), self.described.all_slots());
     }
 }
