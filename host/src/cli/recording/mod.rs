@@ -37,9 +37,10 @@ const SHOWN: usize = 40;
 /// Characters that are shown of a name.
 const NAME: usize = 120;
 
-/// What is nearest to one of these words; empty where nothing is.
+/// What is nearest to one of these words, a process and a component as well as an output; empty where nothing is.
 fn meant<'a>(words: impl IntoIterator<Item = &'a str>, names: &[&str]) -> String {
-    let close = words.into_iter().find_map(|word| nearest(word, names.iter().copied()));
+    let parts = || names.iter().flat_map(|name| name.match_indices('/').map(move |(at, _)| &name[..at]));
+    let close = words.into_iter().find_map(|word| nearest(word, names.iter().copied().chain(parts())));
     close.map(|name| format!("did you mean {}? ", units::cut(name, NAME))).unwrap_or_default()
 }
 
@@ -82,5 +83,23 @@ fn reading_bar(file: &Path, json: bool) -> ProgressBar {
     match ProgressStyle::with_template("{bar:40} {percent:>3} % {bytes}/{total_bytes} {eta}") {
         Ok(shown) => bar.with_style(shown),
         Err(_) => bar,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::meant;
+
+    #[test]
+    fn a_misspelt_process_component_or_output_is_answered_by_the_one_that_was_meant() {
+        let names = ["host/camera/image", "host/robot/tip", "left/sine/value"];
+        for (word, answer) in [
+            ("host/rob", "did you mean host/robot? "),
+            ("lef", "did you mean left? "),
+            ("host/robot/tipp", "did you mean host/robot/tip? "),
+            ("nothing/alike/at-all", ""),
+        ] {
+            assert_eq!(meant([word], &names), answer);
+        }
     }
 }
