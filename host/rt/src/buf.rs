@@ -19,7 +19,7 @@ pub(crate) struct AlignedBuf {
     allocated: NonNull<u8>,
 }
 
-/// What the allocator aligns to without a search.
+/// Bytes to which the allocator aligns every block.
 const ALLOCATED: usize = 16;
 /// Smallest page of the machine, bytes.
 const PAGE: usize = 4096;
@@ -33,9 +33,9 @@ impl AlignedBuf {
         let allocated = unsafe { alloc_zeroed(layout) };
         let Some(allocated) = NonNull::new(allocated) else { handle_alloc_error(layout) };
         let offset = allocated.as_ptr().addr().wrapping_neg() % ALIGN;
-        // SAFETY: the layout has room for the block behind this offset.
+        // SAFETY: a multiple of 16 lies at most 48 bytes before one of 64, and the layout has as many more.
         let start = unsafe { allocated.add(offset) };
-        // A large block comes as pages that are not there yet, and no real-time thread may be the first to touch them.
+        // The pages of a large block come when they are touched first, which no real-time thread may do.
         for at in (0..bytes).step_by(PAGE).chain([bytes - 1]) {
             // SAFETY: inside the block, which is nobody else's yet.
             unsafe { start.add(at).write_volatile(0) };
@@ -43,8 +43,8 @@ impl AlignedBuf {
         Self { start, bytes, allocated }
     }
 
-    /// The allocator is asked for more room instead of for alignment: aligned blocks that come and go leave holes in the
-    /// heap of glibc before 2.38 that it does not use again (its bug 14581), and the process grows.
+    /// The allocator is asked for more room instead of for alignment: aligned blocks that come and go
+    /// leave holes in the heap of glibc before 2.38 that it does not use again (its bug 14581).
     fn layout(bytes: usize) -> Layout {
         Layout::from_size_align(bytes.saturating_add(ALIGN - ALLOCATED), ALLOCATED)
             .expect("a block is smaller than isize::MAX")

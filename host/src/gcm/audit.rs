@@ -66,7 +66,7 @@ impl io::Write for Cut {
     }
 }
 
-/// What a request says, by its name there; configurations can be large and are not copied.
+/// The fields of a request, by their names; configurations can be large and are not copied.
 type Body<'a> = BTreeMap<&'static str, Cow<'a, Value>>;
 
 fn request(request: &Request) -> BTreeMap<&'static str, Body<'_>> {
@@ -76,19 +76,16 @@ fn request(request: &Request) -> BTreeMap<&'static str, Body<'_>> {
         }
         Request::CreateApart { id, home, class, config, execution } => {
             let mut body = create(format!("{home}/{}", id.component), class, config.as_ref(), execution);
-            body.extend(made("isolation", "process"));
+            body.insert("isolation", own("process"));
             ("create", body)
         }
         Request::Remove { id, force } => {
-            ("remove", Body::from_iter(made("path", id.to_string()).chain(made("force", *force))))
+            ("remove", Body::from([("path", own(id.to_string())), ("force", own(*force))]))
         }
-        Request::Forget { process } => ("forget", made("process", process.as_str()).collect()),
+        Request::Forget { process } => ("forget", Body::from([("process", own(process.as_str()))])),
         Request::Configure { id, patch, execution } => {
-            let mut body = Body::from_iter(made("path", id.to_string()));
-            body.insert("config", Cow::Borrowed(patch));
-            body.extend(
-                execution.as_ref().and_then(settings).into_iter().flat_map(|set| made("execution", set)),
-            );
+            let mut body = Body::from([("path", own(id.to_string())), ("config", Cow::Borrowed(patch))]);
+            body.extend(execution.as_ref().and_then(settings).map(|set| ("execution", own(set))));
             ("configure", body)
         }
         Request::Start { targets } => ("start", paths(targets)),
@@ -97,28 +94,28 @@ fn request(request: &Request) -> BTreeMap<&'static str, Body<'_>> {
         Request::Reset { targets } => ("reset", paths(targets)),
         Request::Connect { client, server, options } => {
             let mut body = pair(client, server);
-            body.extend(wire_options(options).into_iter().flat_map(|options| made("options", options)));
+            body.extend(wire_options(options).map(|options| ("options", own(options))));
             ("connect", body)
         }
-        Request::Disconnect { which: Which::Id(id) } => ("disconnect", made("id", id.0).collect()),
+        Request::Disconnect { which: Which::Id(id) } => ("disconnect", Body::from([("id", own(id.0))])),
         Request::Disconnect { which: Which::Pair { client, server } } => ("disconnect", pair(client, server)),
     };
     BTreeMap::from([(name, body)])
 }
 
-fn made<'a>(key: &'static str, value: impl Into<Value>) -> std::iter::Once<(&'static str, Cow<'a, Value>)> {
-    std::iter::once((key, Cow::Owned(value.into())))
+fn own<'a>(value: impl Into<Value>) -> Cow<'a, Value> {
+    Cow::Owned(value.into())
 }
 
 fn create<'a>(path: String, class: &str, config: Option<&'a Value>, execution: &Execution) -> Body<'a> {
-    let mut body = Body::from_iter(made("path", path).chain(made("class", class)));
+    let mut body = Body::from([("path", own(path)), ("class", own(class))]);
     body.extend(config.map(|config| ("config", Cow::Borrowed(config))));
-    body.extend(settings(execution).into_iter().flat_map(|set| made("execution", set)));
+    body.extend(settings(execution).map(|set| ("execution", own(set))));
     body
 }
 
 fn pair<'a>(client: &PortId, server: &PortId) -> Body<'a> {
-    made("client", client.to_string()).chain(made("server", server.to_string())).collect()
+    Body::from([("client", own(client.to_string())), ("server", own(server.to_string()))])
 }
 
 fn paths<'a>(targets: &[Target]) -> Body<'a> {
@@ -126,7 +123,7 @@ fn paths<'a>(targets: &[Target]) -> Body<'a> {
         Target::One(id) => id.to_string(),
         Target::Glob(pattern) => pattern.to_string(),
     };
-    made("paths", targets.iter().map(text).collect::<Vec<_>>()).collect()
+    Body::from([("paths", own(targets.iter().map(text).collect::<Vec<_>>()))])
 }
 
 /// What is set, by the names of the system file; nothing when all is left to the class.

@@ -68,7 +68,8 @@ impl Hub {
         let _ = self.news.send(News::Warnings(api::warnings(&all)));
     }
 
-    /// Keeps what a component leaves that is dropped, and has it looked at again while a cycle may still look there.
+    /// Keeps what a component that is dropped leaves; while a cycle may look there, the follower of ports
+    /// comes by.
     pub(super) fn keep_remains(
         &self,
         host: &Arc<HostContext>,

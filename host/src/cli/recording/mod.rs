@@ -37,7 +37,7 @@ const SHOWN: usize = 40;
 /// Characters that are shown of a name.
 const NAME: usize = 120;
 
-/// What is nearest to one of these words, a process and a component as well as an output; empty where nothing is.
+/// The process, component or output that is nearest to one of these words; empty where nothing is.
 fn meant<'a>(words: impl IntoIterator<Item = &'a str>, names: &[&str]) -> String {
     let parts = || names.iter().flat_map(|name| name.match_indices('/').map(move |(at, _)| &name[..at]));
     let close = words.into_iter().find_map(|word| nearest(word, names.iter().copied().chain(parts())));

@@ -67,7 +67,6 @@ impl FnCell {
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         let bound = Bound { to: FnBinding::Unbound, described: String::new(), gone: Some(gone.clone()) };
         self.binding.swap(Box::new(bound));
-        self.binding.reclaim();
     }
 
     /// Swaps what stands behind the function; managers only.

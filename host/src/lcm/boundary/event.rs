@@ -127,7 +127,6 @@ impl EventCell {
     /// Its component is gone.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         self.change(|sinks| *sinks = Sinks { gone: Some(gone.clone()), ..Sinks::default() });
-        self.sinks.reclaim();
     }
 
     fn change(&self, f: impl FnOnce(&mut Sinks)) {

@@ -200,7 +200,6 @@ impl InCell {
         // SAFETY: the component's thread has done its last for it, and nobody else may look at samples of an
         // input.
         drop(unsafe { &mut *self.held.get() }.take());
-        self.reclaim();
     }
 
     #[cold]

@@ -234,7 +234,6 @@ impl OutCell {
         self.pools.swap(Box::default());
         drop(one);
         self.know(Vec::new());
-        self.reclaim();
     }
 
     /// The inputs whose samples may be passed on through it; managers only.

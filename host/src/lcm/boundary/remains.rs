@@ -5,7 +5,7 @@
 //! Invariant: what is kept holds nothing of others: no connection, no frame, no sample.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use super::host_table::{HostContext, SharedTable};
 use super::ports::Slots;
@@ -30,13 +30,14 @@ impl Remains {
 #[derive(Default)]
 pub(in crate::lcm) struct AllRemains {
     kept: Mutex<VecDeque<Remains>>,
-    /// Ports behind which others' things still stand: a cycle was under way that may look at them.
-    in_use: Mutex<Vec<Arc<Slots>>>,
+    /// Ports of those that are kept behind which others' things still stand: a cycle was under way that
+    /// may look at them.
+    in_use: Mutex<Vec<Weak<Slots>>>,
 }
 
 impl AllRemains {
-    /// Takes what its component leaves, and all that others own out of it; true when some of that is still looked at, so
-    /// that [`AllRemains::reclaim`] has to come by. Not real-time.
+    /// Takes what its component leaves, and all that others own out of it; true when a cycle may still
+    /// look at some of that, so that [`AllRemains::reclaim`] has to come by. Not real-time.
     pub(in crate::lcm) fn take(
         &self,
         host: &Arc<HostContext>,
@@ -45,7 +46,7 @@ impl AllRemains {
     ) -> bool {
         host.leave();
         slots.iter().for_each(|slots| slots.retire(host));
-        let in_use: Vec<_> = slots.iter().filter(|slots| slots.reclaim() > 0).cloned().collect();
+        let in_use: Vec<_> = slots.iter().filter(|slots| slots.reclaim() > 0).map(Arc::downgrade).collect();
         let again = !in_use.is_empty();
         self.in_use.lock().unwrap_or_else(PoisonError::into_inner).extend(in_use);
         let mut all = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
@@ -64,15 +65,17 @@ impl AllRemains {
         again
     }
 
-    /// Drops what was still looked at when its component went; how many sets of ports still are. Managers only.
+    /// Drops what cycles looked at when its component went, and no longer do; how many sets of ports
+    /// are left. Managers only.
     pub(in crate::lcm) fn reclaim(&self) -> usize {
-        let in_use = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
-        let looked_at = in_use().clone();
-        // Outside the lock: the last owner of another component may be among what is dropped, and that one comes here.
-        let done: Vec<_> = looked_at.into_iter().filter(|slots| slots.reclaim() == 0).collect();
-        let mut in_use = in_use();
-        // They stay in the list meanwhile, so that whoever asks beside this one counts them, too.
-        in_use.retain(|slots| !done.iter().any(|d| Arc::ptr_eq(d, slots)));
+        let list = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = list().clone();
+        // Outside the lock: the last owner of another component may be dropped, which comes here, too.
+        let is_done = |slots: &Weak<Slots>| slots.upgrade().is_none_or(|slots| slots.reclaim() == 0);
+        let done: Vec<_> = before.into_iter().filter(is_done).collect();
+        let mut in_use = list();
+        // They stay in the list meanwhile, so that a call beside this one counts them, too.
+        in_use.retain(|slots| !done.iter().any(|d| Weak::ptr_eq(d, slots)));
         in_use.len()
     }
 }

@@ -94,8 +94,8 @@ impl LocalLcm {
         self.carriers.tend() || in_use > 0
     }
 
-    /// Drops what removed components and their remains still hold of others, where nobody looks at it any more; in how many
-    /// somebody does.
+    /// Drops what removed components and their remains hold of others where no cycle looks at it any more;
+    /// in how many one does.
     fn reclaim_left(&self) -> usize {
         self.reclaim_leaving() + self.hub.remains.reclaim()
     }

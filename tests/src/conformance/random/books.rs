@@ -248,7 +248,7 @@ pub(super) fn shared_memory() -> usize {
     open_files().iter().filter(|(to, _)| to.starts_with("/memfd:trocar-")).map(|(_, n)| n).sum()
 }
 
-/// Waits until there are no more of them than `before`, when there was no component: no removed one may keep any.
+/// Waits until there are no more of them than `before` there was a component: a removed one keeps none.
 pub(super) fn await_shared_memory(before: usize) {
     eventually("shared memory is given back", || match shared_memory() {
         now if now <= before => Ok(()),
@@ -275,8 +275,8 @@ impl Growth {
         self.kb.push(line.trim().trim_end_matches("kB").trim().parse().unwrap_or_default());
     }
 
-    /// Compares the least of the last quarter with the least of the third: what is kept for good lifts each, while the
-    /// allocator's own pages, spread over the threads that come and go, have settled in the first half.
+    /// Compares the least of the last quarter with the least of the third: a leak lifts each, while the
+    /// allocator's own pages, spread over threads that come and go, have settled in the first half.
     ///
     /// # Panics
     /// It has grown by more than the allocator explains.
