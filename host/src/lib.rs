@@ -1,14 +1,13 @@
-//! The trocar host as a library: everything that does I/O.
+//! The trocar host as a library: all I/O but that of the components of one process.
 //!
 //! Invariant: calls go downward only, `cli → control → gcm → lcm → loader → rt`; answers are return values, news are events.
-#![deny(unsafe_code)]
+#![forbid(unsafe_code)]
 
 pub mod cli;
 pub mod control;
 pub mod doctor;
 pub mod gcm;
 pub mod host;
-pub mod lcm;
 pub mod processes;
 mod runtime_dir;
 pub mod system_file;
@@ -17,6 +16,8 @@ pub mod system_file;
 #[allow(unreachable_pub, reason = "it is public where it lies")]
 mod watchdog;
 
+/// Components of one process, and what can be asked of the manager that owns them.
+pub use trocar_lcm as lcm;
 /// Plugin files, for programs that look into one without a host.
 pub use trocar_loader as loader;
 /// Names, states, requests and refusals: what the methods of [`Host`] take and answer.

@@ -19,9 +19,30 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-rt", &["trocar-plugin-api"]),
     ("trocar-links", &["trocar-rt"]),
     ("trocar-loader", &["trocar-model", "trocar-rt", "trocar-plugin-api"]),
+    ("trocar-lcm-api", &["trocar-model", "trocar-links"]),
+    (
+        "trocar-lcm",
+        &[
+            "trocar-lcm-api",
+            "trocar-loader",
+            "trocar-model",
+            "trocar-links",
+            "trocar-rt",
+            "trocar-plugin-api",
+        ],
+    ),
     (
         "trocar",
-        &["trocar-loader", "trocar-model", "trocar-links", "trocar-rt", "trocar-proto", "trocar-plugin-api"],
+        &[
+            "trocar-lcm",
+            "trocar-lcm-api",
+            "trocar-loader",
+            "trocar-model",
+            "trocar-links",
+            "trocar-rt",
+            "trocar-proto",
+            "trocar-plugin-api",
+        ],
     ),
     ("trocar-conform-classes", &["trocar-sdk"]),
     ("trocar-fft", &[]),
@@ -97,6 +118,36 @@ fn the_model_reaches_no_runtime_and_no_system_interface() {
         .filter(|n| reached.contains(*n))
         .collect();
     assert!(banned.is_empty(), "trocar-model is pure but reaches {banned:?}");
+}
+
+#[test]
+fn loader_and_lcm_reach_no_grpc() {
+    let metadata = Metadata::read();
+    for (own, banned) in [("trocar-loader", "tokio"), ("trocar-lcm", "tonic"), ("trocar-lcm-api", "tonic")] {
+        assert!(!metadata.reached_from(own).contains(banned), "{own} reaches {banned}");
+    }
+}
+
+/// An LCM may be in another process: what the GCM knows of one is what can be asked over Attach.
+#[test]
+fn the_gcm_names_the_contract_of_the_lcm_and_no_lcm() {
+    let mut folders = vec![repository().join("host/src/gcm")];
+    let (mut looked_at, mut wrong) = (0, Vec::new());
+    while let Some(folder) = folders.pop() {
+        for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let code = std::fs::read_to_string(&path).unwrap();
+            looked_at += 1;
+            if ["crate::lcm", "trocar_lcm::", "LocalLcm"].iter().any(|name| code.contains(name)) {
+                wrong.push(path);
+            }
+        }
+    }
+    assert!(looked_at > 20, "{looked_at} files");
+    assert!(wrong.is_empty(), "these name an LCM: {wrong:?}");
 }
 
 /// A dependency with two sets of features is compiled twice, and so is all that depends on it: by

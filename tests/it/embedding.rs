@@ -5,6 +5,7 @@
 mod bench;
 mod limits;
 mod optional;
+mod threads;
 
 use std::time::Duration;
 

@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc::Receiver;
 use tokio::sync::watch;
+use trocar_lcm_api::{Item, Selection};
 use trocar_model::{ComponentId, MemberId, Refusal, State, SystemGraph};
 
 use super::{Gcm, given_ns};
-use crate::lcm::{Item, Selection};
 
 /// An event on its way here when its component is already known to have failed.
 const UNDER_WAY: Duration = Duration::from_millis(100);

@@ -6,6 +6,7 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use trocar_lcm_api::Report;
 use trocar_model::{
     Change, Component, ComponentId, Name, Plan, Refusal, Request, Safety, Skipped, State, SystemGraph, Verb,
     brief, inverse, plan_all,
@@ -20,7 +21,6 @@ use super::observed::{observe, stand_by};
 use super::requests::{Answer, Known};
 use super::stop::Carrying;
 use super::{Gcm, audit, text};
-use crate::lcm::Report;
 
 /// Time a request gets when it names no deadline.
 const WITHIN: Duration = Duration::from_secs(5);

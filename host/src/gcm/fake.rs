@@ -11,6 +11,10 @@ use async_trait::async_trait;
 use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::timeout;
+use trocar_lcm_api::{
+    Detail, HalfReport, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply,
+    Report, Sample, Selection, When,
+};
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionLimits,
@@ -19,10 +23,6 @@ use trocar_model::{
 };
 
 use super::{Gcm, text};
-use crate::lcm::{
-    Detail, HalfReport, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply,
-    Report, Sample, Selection, When,
-};
 use crate::watchdog::Watchdog;
 
 /// Time between two looks at what changes by itself.
@@ -368,7 +368,7 @@ impl Lcm for FakeLcm {
         Ok(Report { ports, ..report(&id, now) })
     }
 
-    async fn link(&self, end: crate::lcm::FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+    async fn link(&self, end: trocar_lcm_api::FarEnd, deadline: Instant) -> Result<Report, Refusal> {
         let connection = end.connection;
         let here = |port: &trocar_model::PortId| port.component.process == self.process;
         let end = if here(&connection.client) { End::Client } else { End::Server };
@@ -396,7 +396,7 @@ impl Lcm for FakeLcm {
             let _ = feed.try_send(event(&format!("{}/a/arm/moved", self.process), 77));
         }
         let value = match call.arg {
-            crate::lcm::Payload::Json(value) => value,
+            trocar_lcm_api::Payload::Json(value) => value,
             other => json!(format!("{other:?}")),
         };
         Ok(Reply {

@@ -6,6 +6,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use trocar_lcm_api::{ClassOf, FarEnd, Report};
 use trocar_links::Card;
 use trocar_model::{
     Change, Connection, ConnectionId, End, Name, Plan, PortId, PortType, ProcessState, Proxy, Refusal,
@@ -16,7 +17,6 @@ use super::Gcm;
 use super::execute::UNDO;
 use super::manager::lock;
 use super::sessions::{Registration, Sessions};
-use crate::lcm::{ClassOf, FarEnd, Report};
 
 /// Time to link again what a process that was away has lost.
 const AGAIN: Duration = Duration::from_secs(5);

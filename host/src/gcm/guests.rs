@@ -9,6 +9,10 @@ use std::time::Instant;
 use async_trait::async_trait;
 use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
+use trocar_lcm_api::{
+    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
+    Selection, When,
+};
 use trocar_model::{
     Change, ClassInfo, Component, ComponentId, ConnectOptions, ConnectionId, Event, Execution,
     ExecutionLimits, ExecutionModel, Function, Handler, Health, Name, PortId, Ports, Programs, Provided,
@@ -18,10 +22,6 @@ use trocar_model::{
 use super::manager::lock;
 use super::sessions::{Registered, Registration, Slice};
 use super::{ExecuteOptions, Gcm};
-use crate::lcm::{
-    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
-    Selection, When,
-};
 
 /// Most guests of a system; each costs little, but a script that joins in a loop should be told.
 const MOST: usize = 64;

@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use tokio::sync::broadcast;
 
-use crate::lcm::LogLine;
+use trocar_lcm_api::LogLine;
 
 /// Lines kept.
 const KEPT: usize = 1000;

@@ -5,11 +5,11 @@
 
 use std::time::Instant;
 
+use trocar_lcm_api::Report;
 use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Refusal, SystemGraph};
 
 use super::Gcm;
 use super::execute::UNDO;
-use crate::lcm::Report;
 
 /// Enters what an LCM reported; components the graph does not have are not invented. Answers the connections that no
 /// longer fit and which the LCM did not say it had cut, and those of which another LCM has the other half.

@@ -8,6 +8,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use tokio::sync::{broadcast, mpsc, oneshot};
+use trocar_lcm_api::{HalfReport, Inventory, Lcm, News, Report};
 use trocar_links::Card;
 use trocar_model::{
     Component, ComponentId, Connection, ConnectionId, Health, Here, Name, Process, ProcessState, Refusal,
@@ -19,7 +20,6 @@ use super::manager::{Inner, lock};
 use super::observed::{loosen, observe, stand_by};
 use super::wanted::Wanted;
 use super::{Gcm, far};
-use crate::lcm::{HalfReport, Inventory, Lcm, News, Report};
 
 /// Longest wait until what an LCM has told is entered: it lies here already, unless some of it was lost and is asked again.
 const ENTERED: Duration = Duration::from_millis(500);

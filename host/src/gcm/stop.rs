@@ -6,6 +6,7 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use trocar_lcm_api::Report;
 use trocar_model::{
     Change, ComponentId, Health, Plan, Refusal, Request, State, StopReason, Target, Verb, allowed, plan_all,
 };
@@ -15,7 +16,6 @@ use super::claims::Claim;
 use super::execute::{Executed, HUNG, UNDO, id_of};
 use super::requests::Answer;
 use super::text;
-use crate::lcm::Report;
 
 /// A change set being carried out.
 pub(super) struct Carrying<'a> {

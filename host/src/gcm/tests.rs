@@ -18,13 +18,13 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use trocar_lcm_api::Lcm;
 use trocar_model::{
     Component, Execution, Health, ProcessState, Refusal, Request, State, StopReason, SystemGraph, Target,
 };
 
 use super::fake::{FakeLcm, comes, id, name, until};
 use super::{ExecuteOptions, Gcm, GcmConfig, Registered, Registration, Slice, plan_lines};
-use crate::lcm::Lcm;
 
 async fn register(gcm: &Gcm, who: Registration, lcm: Arc<FakeLcm>) -> Result<Registered, Refusal> {
     let inventory = lcm.inventory().await.unwrap();

@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use trocar_lcm_api::Report;
 use trocar_model::{
     Change, ComponentId, Health, Name, ProcessState, Refusal, Request, State, StopReason, SystemGraph, Target,
 };
@@ -15,7 +16,6 @@ use super::Gcm;
 use super::execute::id_of;
 use super::manager::lock;
 use super::stop::names;
-use crate::lcm::Report;
 
 /// Time to stop what was stopped while its process was away.
 const WITHIN: Duration = Duration::from_secs(5);

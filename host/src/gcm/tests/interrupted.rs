@@ -3,6 +3,7 @@
 //! Promise: it gets the rest, each thing once; what does not come back is named with the reason, and nothing else stays away
 //! for it.
 
+use trocar_lcm_api::{Inventory, Lcm};
 use trocar_model::{
     Change, ClassInfo, ConnectionId, Health, Plan, PortId, ProcessState, Safety, State, StopReason,
 };
@@ -13,7 +14,6 @@ use super::{
     Arc, Duration, Execution, Gcm, GcmConfig, Registered, Registration, Request, Slice, ask, component,
     create, host, register, start, within,
 };
-use crate::lcm::{Inventory, Lcm};
 
 const RESTARTED: State = State::Stopped(StopReason::Restarted);
 

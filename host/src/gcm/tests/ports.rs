@@ -1,9 +1,9 @@
 //! Ports that change by themselves: the connections that go with them, and the thread a component is given later.
 
+use trocar_lcm_api::{News, Report};
 use trocar_model::{ConnectOptions, ConnectionId, PortId, PortType, Ports, Prim, Type, Which};
 
 use super::*;
-use crate::lcm::{News, Report};
 
 fn connect(client: &str, server: &str) -> Request {
     Request::Connect {

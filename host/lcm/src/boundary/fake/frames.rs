@@ -1,0 +1,61 @@
+//! Frames of a fake component: numbered ones made, and those of an input passed on.
+//!
+//! Invariant: the header of a frame is one u64; its bytes are nobody's concern.
+
+use trocar_plugin_api::abi::{EXECUTED, IN_SAMPLE, Loan, Outcome, SampleView};
+
+use super::Own;
+
+/// Room for what an input shows.
+pub(super) fn view() -> SampleView {
+    SampleView {
+        struct_size: size_of::<SampleView>() as u32,
+        flags: 0,
+        header: std::ptr::null(),
+        bytes: std::ptr::null(),
+        len: 0,
+        stamp_ns: 0,
+        seq: 0,
+        token: 0,
+    }
+}
+
+impl Own {
+    /// Makes a frame with this number; EXHAUSTED where its pool has no slot.
+    pub(crate) fn give(&self, output: usize, number: u64) -> Outcome {
+        let mut loan = Loan {
+            struct_size: size_of::<Loan>() as u32,
+            flags: 0,
+            header: std::ptr::null_mut(),
+            bytes: std::ptr::null_mut(),
+            capacity: 0,
+            token: 0,
+        };
+        // SAFETY: the tests' classes have that output, of frames with a header of u64, and are bound before they run.
+        unsafe {
+            let slot = *(*self.ports).outputs.add(output);
+            let lent = ((*slot).loan)((*slot).ctx, &raw mut loan);
+            if lent != EXECUTED {
+                return lent;
+            }
+            loan.header.cast::<u64>().write(number);
+            ((*slot).commit)((*slot).ctx, &raw mut loan, 0, 0)
+        }
+    }
+
+    /// Passes the next frame of an input on and lets go of it; its number.
+    pub(crate) fn pass(&self, input: usize, output: usize) -> Option<u64> {
+        let mut view = view();
+        // SAFETY: the tests' classes have these ports, of frames with a header of u64, and are bound before they run.
+        unsafe {
+            let (from, to) = (*(*self.ports).inputs.add(input), *(*self.ports).outputs.add(output));
+            if ((*from).next)((*from).ctx, &raw mut view) != IN_SAMPLE {
+                return None;
+            }
+            let number = view.header.cast::<u64>().read();
+            ((*to).forward)((*to).ctx, &raw const view, view.stamp_ns);
+            ((*from).release)((*from).ctx);
+            Some(number)
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! The host table each instance is created with: clock, log, services, callbacks.
+//!
+//! Invariant: every function here may be called from any thread of the plugin and never waits.
+
+use std::ffi::c_void;
+use std::io::Write;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock, Weak};
+
+use trocar_model::ComponentId;
+
+use trocar_plugin_api::abi::{
+    ABI_MAJOR, ABI_MINOR, Bytes, HostTable, KEEP, Keep, NOT_ACTIVE, Outcome, PARALLEL, QUEUED,
+};
+use trocar_rt::os;
+
+use super::super::context;
+use super::super::hub::Hub;
+use super::super::instance::Instance;
+use super::super::logs::{self, LogRing};
+use super::super::services::{Account, Desk};
+use super::parallel;
+
+/// What stands behind `HostTable::ctx` of one instance.
+pub(crate) struct HostContext {
+    /// The component's number.
+    pub(crate) number: u32,
+    id: ComponentId,
+    pub(crate) logs: Arc<LogRing>,
+    pub(crate) instance: OnceLock<Weak<Instance>>,
+    pub(crate) account: Account,
+    desk: Arc<Desk>,
+    /// Its code holds something of what it was given, and for how long nobody knows.
+    held: AtomicBool,
+    /// Uses by its code, after it was gone, of what it had been given.
+    late: AtomicU64,
+}
+
+impl HostContext {
+    pub(crate) fn new(number: u32, id: ComponentId, hub: &Hub) -> Arc<Self> {
+        Arc::new(Self {
+            number,
+            id,
+            logs: hub.logs.clone(),
+            instance: OnceLock::new(),
+            account: Account::default(),
+            desk: hub.desk.clone(),
+            held: AtomicBool::new(false),
+            late: AtomicU64::new(0),
+        })
+    }
+
+    /// Nothing that the instance was given may go before the process ends.
+    pub(crate) fn is_held(&self) -> bool {
+        self.held.load(Ordering::Acquire)
+    }
+
+    /// Its component is gone.
+    pub(super) fn leave(&self) {
+        self.desk.leave(self.number);
+    }
+
+    /// Its component is gone, and code of it has used what it was given: counted, and said at the first time,
+    /// the tenth, the hundredth. Any thread; real-time.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn note_late(&self) {
+        let times = self.late.fetch_add(1, Ordering::Relaxed) + 1;
+        if times != 10u64.pow(times.ilog10()) {
+            return;
+        }
+        let mut said = [0; 400];
+        let room = said.len();
+        let mut rest = said.as_mut_slice();
+        // A longer text is cut.
+        let _ = write!(
+            rest,
+            "{} is removed, and its code still uses its ports or its host handle: refused, {times} so far; end its threads in \
+             stop or destroy, and keep no handle in a static",
+            self.id
+        );
+        let len = room - rest.len();
+        self.logs.push(self.number, log::Level::Warn as u32, logs::HOST.as_bytes(), &said[..len]);
+    }
+
+    /// Its instance; `None`, and that is noted, when it is gone.
+    fn instance(&self) -> Option<Arc<Instance>> {
+        let instance = self.instance.get().and_then(Weak::upgrade);
+        if instance.is_none() {
+            self.note_late();
+        }
+        instance
+    }
+
+    /// The table for this context, which it keeps.
+    pub(crate) fn shared_table(self: &Arc<Self>) -> Arc<SharedTable> {
+        let table = HostTable {
+            struct_size: size_of::<HostTable>() as u32,
+            flags: 0,
+            abi_major: ABI_MAJOR,
+            abi_minor: ABI_MINOR,
+            ctx: Arc::as_ptr(self).cast_mut().cast(),
+            now_ns,
+            log,
+            service,
+            callback_enter,
+            callback_leave,
+            extension,
+            ports_changed,
+        };
+        Arc::new(SharedTable(table, self.clone()))
+    }
+}
+
+/// A host table, with the context it points to.
+pub(crate) struct SharedTable(HostTable, #[expect(dead_code, reason = "held")] Arc<HostContext>);
+
+// SAFETY: the table is immutable and its context is a `HostContext`, which is Sync.
+unsafe impl Send for SharedTable {}
+// SAFETY: as above.
+unsafe impl Sync for SharedTable {}
+
+impl SharedTable {
+    pub(crate) fn pointer(&self) -> *const HostTable {
+        &raw const self.0
+    }
+}
+
+/// `ctx` is the `HostContext` whose table the function stands in.
+fn context_of<'a>(ctx: *mut c_void) -> &'a HostContext {
+    // SAFETY: the context lives as long as its table, and that as long as the host takes calls of its
+    // component.
+    unsafe { &*ctx.cast::<HostContext>() }
+}
+
+unsafe extern "C" fn now_ns(_ctx: *mut c_void) -> u64 {
+    os::now_ns()
+}
+
+fn text<'a>(bytes: &Bytes) -> &'a [u8] {
+    // Nothing in memory is longer than that, so it is not a length.
+    if bytes.ptr.is_null() || bytes.len > isize::MAX as usize {
+        return &[];
+    }
+    // SAFETY: the plugin lends `len` bytes for the call.
+    unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) }
+}
+
+unsafe extern "C" fn log(ctx: *mut c_void, level: u32, target: Bytes, message: Bytes) {
+    let host = context_of(ctx);
+    host.logs.push(host.number, level, text(&target), text(&message));
+}
+
+/// A line a plugin logs without saying for which instance: goes to the component whose code runs on this thread, else to
+/// the host's own log. Never waits when a component runs.
+pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
+    // SAFETY: null, or the context of the instance that is being called on this very thread.
+    match unsafe { context::component().as_ref() } {
+        Some(host) => host.logs.push(host.number, level, target.as_bytes(), message.as_bytes()),
+        None => trocar_loader::log_to_crate(plugin, level, target, message),
+    }
+}
+
+/// A dynamic component service; see `services.rs`.
+unsafe extern "C" fn service(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome {
+    let host = context_of(ctx);
+    match host.instance() {
+        Some(instance) => host.desk.ask(&instance, token, text(&request)),
+        None => NOT_ACTIVE,
+    }
+}
+
+unsafe extern "C" fn callback_enter(ctx: *mut c_void) -> Outcome {
+    context_of(ctx).instance().map_or(NOT_ACTIVE, |instance| instance.callback_enter())
+}
+
+unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
+    if let Some(instance) = context_of(ctx).instance.get().and_then(Weak::upgrade) {
+        instance.callback_leave();
+    }
+}
+
+/// The component's ports are to be others: it is described and bound again on its own thread, between two steps.
+unsafe extern "C" fn ports_changed(ctx: *mut c_void) -> Outcome {
+    match context_of(ctx).instance() {
+        Some(instance) => {
+            instance.described.wish();
+            instance.look_at_ports();
+            QUEUED
+        }
+        None => NOT_ACTIVE,
+    }
+}
+
+unsafe extern "C" fn extension(_ctx: *mut c_void, id: Bytes) -> *const c_void {
+    match text(&id) {
+        id if id == PARALLEL.as_bytes() => parallel::table().cast(),
+        id if id == KEEP.as_bytes() => (&raw const KEEPER).cast(),
+        _ => std::ptr::null(),
+    }
+}
+
+static KEEPER: Keep = Keep { struct_size: size_of::<Keep>() as u32, flags: 0, keep };
+
+unsafe extern "C" fn keep(ctx: *mut c_void) {
+    context_of(ctx).held.store(true, Ordering::Release);
+}

@@ -1,0 +1,303 @@
+//! What observers are given a little later: recorders, viewers, whoever takes samples of any type or listens at a tap.
+//!
+//! Invariant: no step waits for whoever only looks on. What is for them is noted in the thread's turn, and given when that ends: in
+//! the order it came, after all who work with what the turn has made were woken. Nothing is left over when a turn ends. Only what a
+//! component did is noted that no other thread enters before then ([`super::runs_kept`]): nobody overtakes it. What is noted stays
+//! until its turn ends, so noting it counts nothing.
+
+use std::cell::{Cell, RefCell};
+use std::ops::Range;
+use std::ptr::NonNull;
+
+use trocar_rt::pool::Frame;
+use trocar_rt::stream::Meta;
+use trocar_rt::turn;
+
+use super::super::instance::Instance;
+use super::super::{context, pending};
+use super::output::{OutCell, OutLink};
+
+/// How much a turn may have to give later; with more of it what is there is given at once.
+const MOST: usize = 64;
+/// Bytes of samples, events and commands that are kept until then.
+const ROOM: usize = 16 << 10;
+
+/// Slots of a frame's pool that stay free beside those of noted frames.
+const LEFT_FREE: u64 = 2;
+
+thread_local! {
+    static NOTED: Cell<bool> = const { Cell::new(false) };
+    static LATE: RefCell<Option<Late>> = const { RefCell::new(None) };
+}
+
+/// What a thread has noted; made with it, and never larger.
+struct Late {
+    all: Vec<What>,
+    bytes: Vec<u8>,
+}
+
+/// What stays where it is until this turn ends, by the promise of whoever noted it.
+struct Staying<T>(NonNull<T>);
+
+impl<T> Staying<T> {
+    fn new(what: &T) -> Staying<T> {
+        Staying(NonNull::from(what))
+    }
+
+    /// # Safety
+    /// In the turn in which it was noted.
+    unsafe fn get(&self) -> &T {
+        // SAFETY: it stays until that turn ends.
+        unsafe { self.0.as_ref() }
+    }
+}
+
+enum What {
+    /// The newest row of its state table.
+    Row(Staying<Instance>),
+    /// An event or command, by the words before its payload.
+    Told {
+        tap: Staying<OutCell>,
+        words: [u32; 4],
+        payload: Range<usize>,
+        stamp_ns: u64,
+    },
+    Sample {
+        link: Staying<OutLink>,
+        value: Range<usize>,
+        meta: Meta,
+    },
+    Frame {
+        link: Staying<OutLink>,
+        frame: Frame,
+        meta: Meta,
+    },
+}
+
+/// Makes room for this thread, before its first turn.
+pub(crate) fn prepare() {
+    // Written to, so that it is memory before it is needed.
+    let mut bytes = vec![1; ROOM];
+    bytes.clear();
+    LATE.set(Some(Late { all: Vec::with_capacity(MOST), bytes }));
+}
+
+/// Leaves the newest row of a component for later; false where it has to be told now.
+#[inline(never)]
+pub(crate) fn row(instance: &Instance) -> bool {
+    // One that this thread keeps is a member of its executor, which holds it through all of its turn.
+    let later = instance.object.is_kept_here() && has_room(0);
+    if later {
+        note(&[], |_| What::Row(Staying::new(instance)));
+    }
+    later
+}
+
+/// Leaves an event or command for later; false where it has to be told now.
+///
+/// # Safety
+/// In a turn of this thread: `tap` was reached through a binding in that very turn, or is that of a component this thread keeps.
+pub(super) unsafe fn told(tap: &OutCell, words: [u32; 4], payload: &[u8], stamp_ns: u64) -> bool {
+    let later = has_room(payload.len());
+    if later {
+        note(payload, |payload| What::Told { tap: Staying::new(tap), words, payload, stamp_ns });
+    }
+    later
+}
+
+/// Leaves a sample for later; false where it has to be pushed now.
+///
+/// # Safety
+/// In a turn of this thread: `link` was reached through a binding in that very turn.
+pub(super) unsafe fn sample(link: &OutLink, value: &[u8], meta: Meta) -> bool {
+    let later = has_room(value.len());
+    if later {
+        note(value, |value| What::Sample { link: Staying::new(link), value, meta });
+    }
+    later
+}
+
+/// Leaves a frame for later; given back where it has to be pushed now.
+///
+/// # Safety
+/// As of [`sample`].
+pub(super) unsafe fn frame(link: &OutLink, frame: Frame, meta: Meta) -> Option<Frame> {
+    // What waits here leaves slots of the pool free, as what waits in a queue does.
+    if !has_room(0) || !frame.pool_has_free(LEFT_FREE) {
+        give();
+        return Some(frame);
+    }
+    note(&[], |_| What::Frame { link: Staying::new(link), frame, meta });
+    None
+}
+
+/// Whether this thread is in a turn and has room for one more with so many bytes. Where it has none, all that was noted is out.
+fn has_room(bytes: usize) -> bool {
+    let fits = || {
+        LATE.with_borrow(|late| {
+            let room = |late: &Late| late.all.len() < MOST && ROOM - late.bytes.len() >= bytes;
+            late.as_ref().is_some_and(room)
+        })
+    };
+    if !turn::is_inside() || fits() {
+        return turn::is_inside();
+    }
+    give();
+    fits()
+}
+
+/// After [`has_room`] said so.
+fn note(bytes: &[u8], what: impl FnOnce(Range<usize>) -> What) {
+    LATE.with_borrow_mut(|late| {
+        let Some(late) = late else { return };
+        let at = late.bytes.len();
+        late.bytes.extend_from_slice(bytes);
+        late.all.push(what(at..at + bytes.len()));
+    });
+    NOTED.set(true);
+}
+
+/// Gives observers what was noted in this turn. Real-time; in the turn it was noted in, after its wakes.
+#[inline]
+pub(crate) fn give() {
+    if NOTED.get() {
+        give_all();
+    }
+}
+
+#[inline(never)]
+fn give_all() {
+    // Out of reach while it is given: whatever should be noted meanwhile is given at once.
+    let Some(mut late) = LATE.take() else { return };
+    NOTED.set(false);
+    pending::publish();
+    let stepping = context::stepping();
+    context::set_stepping(true);
+    let Late { all, bytes } = &mut late;
+    for what in all.drain(..) {
+        // SAFETY: all of it was noted in this turn: whoever runs turns comes here before they end, but for one that unwinds, which
+        // ends its thread, and what it noted is dropped without a look at it.
+        unsafe {
+            match what {
+                What::Row(instance) => instance.get().tell_row_of_turn(),
+                What::Told { tap, words, payload, stamp_ns } => {
+                    tap.get().tell_now(words, &bytes[payload], stamp_ns);
+                }
+                What::Sample { link, value, meta } => link.get().push_now(&bytes[value], meta),
+                What::Frame { link, frame, meta } => link.get().push_frame_now(frame, meta),
+            }
+        }
+    }
+    bytes.clear();
+    LATE.set(Some(late));
+    context::set_stepping(stepping);
+    if !stepping {
+        context::flush_wakes();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_rt::stream::{DropPolicy, Payload, Queue, StreamReader, stream_link};
+
+    use std::sync::Arc;
+
+    use super::super::output::{Consumer, OUTSIDE};
+    use super::*;
+
+    const BYTES: usize = 2048;
+
+    fn observed() -> (Arc<OutLink>, StreamReader) {
+        let queue = Queue::Fifo { depth: 256, drop: DropPolicy::DropNewest };
+        let (writer, reader) = stream_link(Payload::Plain { bytes: 2 * ROOM }, queue);
+        (Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true)), reader)
+    }
+
+    fn give_sample(link: &Arc<OutLink>, seq: u64, bytes: usize) {
+        let (value, meta) = (vec![seq as u8; bytes], Meta { stamp_ns: seq, came_ns: 0, seq });
+        // SAFETY: the caller holds it until its turn has ended.
+        if !unsafe { sample(link, &value, meta) } {
+            link.push_now(&value, meta);
+        }
+    }
+
+    /// As the thread of an executor runs one.
+    fn turn(f: impl FnOnce()) {
+        turn::run(|| {
+            context::set_stepping(true);
+            f();
+            context::set_stepping(false);
+            context::flush_wakes();
+            give();
+        });
+    }
+
+    fn numbers(reader: &mut StreamReader) -> Vec<u64> {
+        let whole = |reader: &mut StreamReader| {
+            let sample = reader.next()?;
+            assert!(sample.data.iter().all(|byte| *byte == sample.meta.seq as u8), "torn");
+            Some(sample.meta.seq)
+        };
+        std::iter::from_fn(|| whole(reader)).collect()
+    }
+
+    #[test]
+    fn nobody_is_given_anything_before_the_turn_ends_and_then_all_of_it_in_order() {
+        prepare();
+        let (link, mut reader) = observed();
+        turn(|| {
+            (1..=5).for_each(|seq| give_sample(&link, seq, 8));
+            assert!(reader.next().is_none(), "the step paid for it");
+        });
+        assert_eq!(numbers(&mut reader), [1, 2, 3, 4, 5]);
+        turn(|| ());
+        assert!(reader.next().is_none(), "it was given twice");
+    }
+
+    #[test]
+    fn what_there_is_no_room_for_comes_at_once_and_behind_what_came_before() {
+        prepare();
+        let (link, mut reader) = observed();
+        turn(|| {
+            (1..=20).for_each(|seq| give_sample(&link, seq, BYTES));
+            give_sample(&link, 21, ROOM + 1);
+            assert_eq!(
+                numbers(&mut reader),
+                (1..=21).collect::<Vec<u64>>(),
+                "more than there can ever be room for"
+            );
+            (22..=22 + MOST as u64).for_each(|seq| give_sample(&link, seq, 0));
+            assert_eq!(numbers(&mut reader), (22..22 + MOST as u64).collect::<Vec<u64>>(), "too many");
+        });
+        assert_eq!(numbers(&mut reader), [22 + MOST as u64]);
+    }
+
+    #[test]
+    fn threads_that_take_no_turns_give_at_once() {
+        prepare();
+        let (link, mut reader) = observed();
+        give_sample(&link, 1, 8);
+        assert_eq!(numbers(&mut reader), [1]);
+    }
+
+    #[test]
+    fn frames_are_kept_until_they_are_given_and_not_longer() {
+        prepare();
+        let pool = trocar_rt::pool::FramePool::new(3, 8, 8).expect("memory");
+        let (writer, mut reader) =
+            stream_link(Payload::Frame, Queue::Fifo { depth: 2, drop: DropPolicy::DropOldest });
+        let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true));
+        turn(|| {
+            let lend = || pool.loan().expect("one is free").freeze(8);
+            // SAFETY: held until the turn has ended.
+            let frame = |seq| unsafe { frame(&link, lend(), Meta { stamp_ns: seq, came_ns: 0, seq }) };
+            assert!(frame(1).is_none());
+            assert_eq!(pool.stats().free, 2);
+            assert!(reader.next().is_none());
+            assert!(frame(2).is_some(), "too few would be free");
+        });
+        assert_eq!(reader.next().map(|sample| sample.meta.seq), Some(1));
+        drop((reader, link));
+        assert_eq!(pool.stats().free, 3);
+    }
+}

@@ -1,0 +1,172 @@
+//! The slots through which a plugin writes to its outputs.
+//!
+//! Invariant: nothing that a plugin hands over is read before it is known to be whole.
+
+use std::ffi::c_void;
+use std::sync::atomic::Ordering;
+
+use trocar_plugin_api::abi::{
+    Bytes, EXECUTED, EXHAUSTED, FAILED, INVALID_ARGUMENT, Loan, Outcome, SampleView, Sink, Status,
+    WOULD_BLOCK,
+};
+
+use super::super::super::context;
+use super::super::input;
+use super::{OutCell, Outs};
+
+/// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as the
+/// instance that owns the slots. Pointers handed over live for the call.
+fn out_cell<'a>(ctx: *mut c_void) -> &'a OutCell {
+    // SAFETY: see above.
+    unsafe { &*ctx.cast::<OutCell>() }
+}
+
+pub(in crate::boundary) unsafe extern "C" fn write(
+    ctx: *mut c_void,
+    value: *const c_void,
+    stamp_ns: u64,
+) -> Outcome {
+    let cell = out_cell(ctx);
+    cell.outs.look(|outs| {
+        if outs.shape.unknown {
+            return outs.unbound();
+        }
+        if outs.shape.frame {
+            return INVALID_ARGUMENT;
+        }
+        // SAFETY: the caller lends a value of the output's type; one without a type of its own has asked `type_of`.
+        match unsafe { lent(value.cast(), outs.shape.bytes) } {
+            Some(value) => cell.publish_plain(outs, value, stamp_ns),
+            None => INVALID_ARGUMENT,
+        }
+    })
+}
+
+/// As `write`, with the size compared with the type that is behind the output now.
+pub(in crate::boundary) unsafe extern "C" fn write_bytes(
+    ctx: *mut c_void,
+    value: Bytes,
+    stamp_ns: u64,
+) -> Outcome {
+    // SAFETY: the caller lends `len` readable bytes.
+    match unsafe { lent(value.ptr, value.len) } {
+        Some(value) => out_cell(ctx).forward_plain(value, stamp_ns),
+        None => INVALID_ARGUMENT,
+    }
+}
+
+/// The bytes a caller lends; `None` where it lends none although there should be some, or more than can be.
+///
+/// # Safety
+/// `bytes` readable bytes at `ptr`, unless that is null.
+unsafe fn lent<'a>(ptr: *const u8, bytes: usize) -> Option<&'a [u8]> {
+    match bytes {
+        0 => Some(&[]),
+        _ if ptr.is_null() || bytes > isize::MAX as usize => None,
+        // SAFETY: the caller's promise.
+        _ => Some(unsafe { std::slice::from_raw_parts(ptr, bytes) }),
+    }
+}
+
+pub(in crate::boundary) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outcome {
+    let cell = out_cell(ctx);
+    if !is_whole(loan) {
+        return INVALID_ARGUMENT;
+    }
+    let lent = || cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan()));
+    // What readers in other processes have done with is noticed when it is needed.
+    let Some(frame) = lent().or_else(|| {
+        cell.collect();
+        lent()
+    }) else {
+        cell.exhausted.fetch_add(1, Ordering::Relaxed);
+        return cell.outs.look(|outs| if outs.is_gone() { outs.unbound() } else { EXHAUSTED });
+    };
+    let lent = Loan {
+        struct_size: size_of::<Loan>() as u32,
+        flags: 0,
+        header: frame.header_ptr().cast(),
+        bytes: frame.bytes_ptr(),
+        capacity: frame.capacity() as u64,
+        token: frame.into_raw(),
+    };
+    // SAFETY: the caller lends room for a Loan.
+    unsafe { loan.write(lent) };
+    EXECUTED
+}
+
+pub(in crate::boundary) unsafe extern "C" fn commit(
+    ctx: *mut c_void,
+    loan: *mut Loan,
+    len: u64,
+    stamp_ns: u64,
+) -> Outcome {
+    let cell = out_cell(ctx);
+    let Some(frame) = cell.take_back(loan) else { return INVALID_ARGUMENT };
+    if len > frame.capacity() as u64 {
+        return INVALID_ARGUMENT;
+    }
+    // Lent under another type, perhaps: that is asked there.
+    cell.forward_frame(frame.freeze(len as usize), stamp_ns)
+}
+
+pub(in crate::boundary) unsafe extern "C" fn cancel(ctx: *mut c_void, loan: *mut Loan) {
+    drop(out_cell(ctx).take_back(loan));
+}
+
+/// The caller lends room for a whole Loan.
+pub(super) fn is_whole(loan: *const Loan) -> bool {
+    // SAFETY: null, or a struct that begins with its size.
+    !loan.is_null() && unsafe { (&raw const (*loan).struct_size).read() } as usize >= size_of::<Loan>()
+}
+
+pub(in crate::boundary) unsafe extern "C" fn forward(
+    ctx: *mut c_void,
+    view: *const SampleView,
+    stamp_ns: u64,
+) -> Outcome {
+    let cell = out_cell(ctx);
+    let Some(token) = input::token_of(view) else { return INVALID_ARGUMENT };
+    // SAFETY: only the component's thread, which holds the view, forwards.
+    let passed = cell
+        .inputs
+        .look(|inputs| inputs.iter().find_map(|input| unsafe { input.pass_on(token, cell, stamp_ns) }));
+    passed.unwrap_or(INVALID_ARGUMENT)
+}
+
+/// Frames of the largest pool.
+const MOST_SLOTS: u32 = 4096;
+
+pub(in crate::boundary) unsafe extern "C" fn reserve(
+    ctx: *mut c_void,
+    max_bytes: u64,
+    slots: u32,
+) -> Outcome {
+    let cell = out_cell(ctx);
+    if context::stepping() {
+        return WOULD_BLOCK;
+    }
+    let shape = cell.shape();
+    if !shape.frame && !shape.unknown {
+        return FAILED;
+    }
+    if shape.unknown {
+        return cell.outs.look(Outs::unbound);
+    }
+    let asked = format!("a pool of {slots} frames of {max_bytes} bytes cannot be made");
+    if slots > MOST_SLOTS {
+        cell.tell_refused(&format!("{asked}: one has at most {MOST_SLOTS} frames"));
+        return INVALID_ARGUMENT;
+    }
+    match cell.make_pool(max_bytes as usize, slots.max(2)) {
+        Ok(()) => EXECUTED,
+        Err(e) => {
+            cell.tell_refused(&format!("{asked}: {e}"));
+            EXHAUSTED
+        }
+    }
+}
+
+pub(in crate::boundary) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+    super::super::tell(sink, &out_cell(ctx).outs.enter().described)
+}

@@ -1,0 +1,131 @@
+//! A command that waits for its server's own thread: put into a queue, its answer awaited where one is wanted.
+//!
+//! Invariant: a call is answered, or its deadline ends it; whoever ends the server answers what is queued, and whoever queues looks
+//! once more afterwards.
+
+use std::sync::Arc;
+
+use trocar_plugin_api::abi::{CallOpts, DEADLINE, MODE_CALL, Outcome, QUEUE_FULL, QUEUED};
+use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
+use trocar_rt::os;
+use trocar_rt::reply::{Reply, ReplyPool};
+
+use super::super::context;
+use super::super::inbox::{ENTRY_COMMAND, ENTRY_DUE};
+use super::super::pending;
+use super::call::write_err;
+
+/// One command of one connection: where it lies in the queue and what it carries.
+pub(crate) struct Lane {
+    /// Position in the queue's table.
+    pub(crate) index: u32,
+    /// Its argument is a goal that grows old.
+    pub(crate) ages: bool,
+    pub(crate) arg_bytes: usize,
+    pub(crate) ret_bytes: usize,
+    pub(crate) overflow: Overflow,
+}
+
+/// A queue into a server, wherever that is.
+pub(super) trait Destination {
+    fn mailbox(&self) -> &Mailbox;
+    fn replies(&self) -> &Arc<ReplyPool>;
+    /// Tells its thread that something is there.
+    fn signal(&self);
+    /// As above, and at once: the queue is full, and the caller may try again in this very step.
+    fn signal_now(&self);
+    /// After something was queued.
+    fn queued(&self) {}
+    /// Why the queue takes nothing any more.
+    fn closed(&self) -> Outcome;
+    /// Why the server would not run it now; `None`: it would.
+    fn away(&self) -> Option<Outcome>;
+}
+
+/// Text beside QUEUE_FULL when a newer call took the place of this one.
+pub(crate) const REPLACED: &str = "a newer call took its place before it ran";
+
+/// Answers a call whose place a newer one took, unexecuted. Real-time.
+pub(crate) fn replaced(replies: &ReplyPool, token: u64) {
+    if let Some(running) = replies.begin(token, QUEUE_FULL) {
+        running.finish(QUEUE_FULL, |_, text| {
+            let len = REPLACED.len().min(text.len());
+            text[..len].copy_from_slice(&REPLACED.as_bytes()[..len]);
+            len
+        });
+    }
+}
+
+/// Queues a call and, in the mode that asks for it, waits for the answer, `deadline_ns` from now at most.
+/// `arg` and `ret` have the lane's sizes. Real-time unless it waits.
+pub(super) fn queue(
+    to: &impl Destination,
+    lane: &Lane,
+    arg: *const u8,
+    ret: *mut u8,
+    mode: u32,
+    deadline_ns: u64,
+    opts: Option<&mut CallOpts>,
+) -> Outcome {
+    pending::publish();
+    let ticket = if mode == MODE_CALL {
+        match to.replies().acquire() {
+            Some(ticket) => Some(ticket),
+            None => return QUEUE_FULL,
+        }
+    } else {
+        None
+    };
+    let reply = ticket.as_ref().map_or(0, |t| t.token());
+    let says_when = opts.as_ref().is_some_and(|o| o.deadline_ns > 0);
+    let (kind, stamp_ns) = if ticket.is_some() || says_when {
+        (ENTRY_DUE, os::now_ns().saturating_add(deadline_ns))
+    } else {
+        // The server judges the age of what says nothing of it.
+        (ENTRY_COMMAND, if lane.ages { context::about_now_ns() } else { 0 })
+    };
+    let head = EntryHead { kind, index: lane.index, reply, stamp_ns };
+    let payload: &[u8] = if lane.arg_bytes == 0 {
+        &[]
+    } else {
+        // SAFETY: the caller lends an argument of the command's type, whose size was fixed when bound.
+        unsafe { std::slice::from_raw_parts(arg, lane.arg_bytes) }
+    };
+    match to.mailbox().push(head, payload, lane.overflow) {
+        Push::Queued => {}
+        Push::Full => {
+            to.signal_now();
+            return QUEUE_FULL;
+        }
+        Push::TooLong => return QUEUE_FULL,
+        Push::Closed => return to.closed(),
+        Push::DroppedOldest(old) => replaced(to.replies(), old.reply),
+    }
+    to.signal();
+    to.queued();
+    let Some(ticket) = ticket else { return QUEUED };
+    if let Some(why) = to.away() {
+        // Stopped since it was asked, perhaps on a thread that is held up: whoever stopped it may have looked into the
+        // queue before this was there.
+        to.replies().fail(ticket.token(), why);
+    }
+    let ret_bytes = lane.ret_bytes;
+    let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
+    let reply = ticket.wait(stamp_ns, |value, text| {
+        if ret_bytes > 0 {
+            // SAFETY: `ret` has room for the result type; reply cells are made at least that large.
+            unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), ret, ret_bytes.min(value.len())) };
+        }
+        write_err(err, text);
+    });
+    match reply {
+        Reply::Done(outcome) => outcome,
+        Reply::DeadlineNotStarted => DEADLINE,
+        Reply::DeadlineMayRun => {
+            if let Some(opts) = opts {
+                opts.may_still_run = 1;
+            }
+            DEADLINE
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! Reads of a server: answered from its last published row in the caller's thread, or by the host.
+//!
+//! Invariant: a read never enters an instance and never waits; the row it sees is whole.
+
+use std::sync::Arc;
+
+use trocar_loader::convert::MAX_PAYLOAD;
+use trocar_plugin_api::abi::{
+    CallOpts, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, STATUS_PANICKED,
+};
+
+use super::super::inbox::Position;
+use super::super::instance::{Instance, Misuse};
+use super::super::pending;
+use super::call::{lacks, outcome_of};
+use super::range::RangeCheck;
+
+/// A read of a server: the class's own or one of the system interface.
+pub(crate) struct ReadTarget {
+    pub(crate) server: Arc<Instance>,
+    pub(crate) from: Reader,
+    pub(crate) arg_bytes: usize,
+    pub(crate) ret_bytes: usize,
+    pub(crate) range: Option<RangeCheck>,
+}
+
+/// Who answers a read.
+#[derive(Clone)]
+pub(crate) enum Reader {
+    /// The class, from the published row.
+    Class(Arc<Position>),
+    /// The host: the system interface's read of this number.
+    System(usize),
+}
+
+impl ReadTarget {
+    #[inline(never)]
+    pub(super) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
+        // A read that nobody takes the result of does nothing: even when only sent, it needs the place.
+        if lacks(arg, self.arg_bytes) || lacks(ret, self.ret_bytes) {
+            return INVALID_ARGUMENT;
+        }
+        if self.range.is_some() && !self.is_in_range(arg) {
+            return INVALID_ARGUMENT;
+        }
+        let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
+        let (outcome, stamp_ns) = match &self.from {
+            Reader::System(which) => (EXECUTED, self.read_system(*which, ret)),
+            Reader::Class(command) => match command.get() {
+                Some(command) => {
+                    pending::publish_of(&self.server);
+                    read_row(&self.server, command, arg, ret, err)
+                }
+                None => (DISABLED, 0),
+            },
+        };
+        if let Some(opts) = opts {
+            opts.stamp_ns = stamp_ns;
+        }
+        outcome
+    }
+
+    // Apart, so that the common way stays small.
+    #[inline(never)]
+    fn is_in_range(&self, arg: *const u8) -> bool {
+        self.range.as_ref().is_none_or(|range| range.holds(arg))
+    }
+
+    /// `ret` is the place for the result, and there where it has one.
+    #[inline(never)]
+    fn read_system(&self, which: usize, ret: *mut u8) -> u64 {
+        // SAFETY: not null, and with room for the command's result type, checked when bound.
+        let out = unsafe { std::slice::from_raw_parts_mut(ret, self.ret_bytes) };
+        self.server.system_read(which, out)
+    }
+}
+
+/// What came of a read for somebody in another process.
+pub(crate) struct Published {
+    pub(crate) outcome: Outcome,
+    /// It panicked.
+    pub(crate) panicked: bool,
+    /// Of the row, ns.
+    pub(crate) stamp_ns: u64,
+    /// Bytes of the sentence.
+    pub(crate) text_bytes: usize,
+}
+
+/// The result of a read, and a sentence as far as there is room. `arg` and `out` have the sizes of the command. `again`: it panicked last
+/// time, which was counted. Any thread, never waits.
+pub(crate) fn read_published(
+    server: &Instance,
+    from: &Reader,
+    arg: &[u8],
+    out: &mut [u8],
+    text: &mut [u8],
+    again: bool,
+) -> Published {
+    let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
+    let mut panicked = false;
+    let (outcome, stamp_ns) = match from {
+        Reader::System(which) => (EXECUTED, server.system_read(*which, out)),
+        Reader::Class(command) => match command.get() {
+            Some(command) => with_row(server.state_bytes, |row| {
+                let Some(info) = server.rows.latest(bytes_of(row, server.state_bytes)) else {
+                    return (NOT_ACTIVE, 0);
+                };
+                let err = &raw mut err;
+                let status = server.object.read(row, command, arg.as_ptr(), out.as_mut_ptr(), err);
+                panicked = status == STATUS_PANICKED;
+                if panicked && !again {
+                    self::panicked(server, command, err);
+                }
+                (outcome_of(status, err), info.stamp_ns)
+            }),
+            None => (DISABLED, 0),
+        },
+    };
+    Published { outcome, panicked, stamp_ns, text_bytes: err.len.min(text.len()) }
+}
+
+/// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step and
+/// little is cleared in vain.
+const FEW_WORDS: usize = 8;
+const TINY_ROW: usize = 32;
+const SMALL_ROW: usize = 128;
+const MIDDLE_ROW: usize = 1024;
+const LARGEST_ROW: usize = MAX_PAYLOAD / 8;
+
+/// Answers a read from the server's last published row; any thread, never waits.
+#[inline]
+fn read_row(
+    server: &Instance,
+    command: u32,
+    arg: *const u8,
+    ret: *mut u8,
+    err: *mut ErrBuf,
+) -> (Outcome, u64) {
+    let read = match server.state_bytes.div_ceil(8) {
+        words if words <= FEW_WORDS => return read_copy::<FEW_WORDS>(server, command, arg, ret, err),
+        words if words <= TINY_ROW => read_apart::<TINY_ROW>,
+        words if words <= SMALL_ROW => read_apart::<SMALL_ROW>,
+        words if words <= MIDDLE_ROW => read_apart::<MIDDLE_ROW>,
+        _ => read_apart::<LARGEST_ROW>,
+    };
+    read(server, command, arg, ret, err)
+}
+
+/// As `read_copy`, with its copy in a stack frame of its own.
+#[inline(never)]
+fn read_apart<const N: usize>(
+    server: &Instance,
+    command: u32,
+    arg: *const u8,
+    ret: *mut u8,
+    err: *mut ErrBuf,
+) -> (Outcome, u64) {
+    read_copy::<N>(server, command, arg, ret, err)
+}
+
+/// `f` with a place on the stack for a row of so many bytes: zeroed, in whole words.
+#[inline]
+pub(super) fn with_row<R>(bytes: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
+    match bytes.div_ceil(8) {
+        words if words <= FEW_WORDS => with_words::<FEW_WORDS, R>(words, f),
+        words if words <= TINY_ROW => with_words::<TINY_ROW, R>(words, f),
+        words if words <= SMALL_ROW => with_words::<SMALL_ROW, R>(words, f),
+        words if words <= MIDDLE_ROW => with_words::<MIDDLE_ROW, R>(words, f),
+        words => with_words::<LARGEST_ROW, R>(words, f),
+    }
+}
+
+#[inline(never)]
+fn with_words<const N: usize, R>(words: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
+    let mut place = [0u64; N];
+    f(&mut place[..words])
+}
+
+/// The first `bytes` bytes of a row.
+#[inline]
+pub(super) fn bytes_of(row: &mut [u64], bytes: usize) -> &mut [u8] {
+    let bytes = bytes.min(size_of_val(row));
+    // SAFETY: a u64 slice viewed as its first bytes.
+    unsafe { std::slice::from_raw_parts_mut(row.as_mut_ptr().cast::<u8>(), bytes) }
+}
+
+/// The read on a copy of the newest row in `N` words of the stack; the row fits, by `convert`'s limit.
+#[inline]
+fn read_copy<const N: usize>(
+    server: &Instance,
+    command: u32,
+    arg: *const u8,
+    ret: *mut u8,
+    err: *mut ErrBuf,
+) -> (Outcome, u64) {
+    let mut copy = [0u64; N];
+    let row = &mut copy[..server.state_bytes.div_ceil(8)];
+    // SAFETY: a u64 slice viewed as its first `state_bytes` bytes.
+    let bytes = unsafe { std::slice::from_raw_parts_mut(row.as_mut_ptr().cast::<u8>(), server.state_bytes) };
+    let Some(info) = server.rows.latest(bytes) else {
+        return (NOT_ACTIVE, 0);
+    };
+    let status = server.object.read(row, command, arg, ret, err);
+    if status == STATUS_PANICKED {
+        panicked(server, command, err);
+    }
+    (outcome_of(status, err), info.stamp_ns)
+}
+
+/// A read has no instance that could be distrusted: its caller is told, and it is counted; the watchdog tells the world.
+#[cold]
+fn panicked(server: &Instance, command: u32, err: *mut ErrBuf) {
+    let ports = server.ports();
+    let name = ports.provided.iter().flat_map(|p| &p.commands).nth(command as usize).map_or("", |c| &c.name);
+    let text = format!("{name}: {}", super::sentence(err));
+    server.counters.failed(Misuse::ReadPanicked, text.as_bytes());
+}

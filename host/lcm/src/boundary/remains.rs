@@ -1,0 +1,81 @@
+//! Things that the host gave to a component that is gone, kept for a while: a handle that its code still
+//! holds, in a static or a thread, is answered that nobody is connected instead of leading to memory of
+//! others.
+//!
+//! Invariant: what is kept holds nothing of others: no connection, no frame, no sample.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use super::host_table::{HostContext, SharedTable};
+use super::ports::Slots;
+
+/// Ports that are kept, those of the system interface included: the oldest make room. See ADR 0026 for what
+/// they cost.
+const MOST_PORTS: usize = 16_384;
+
+/// The host table and the ports of one component.
+struct Remains {
+    _table: Arc<SharedTable>,
+    slots: Vec<Arc<Slots>>,
+}
+
+impl Remains {
+    fn ports(&self) -> usize {
+        self.slots.iter().map(|slots| slots.count()).sum()
+    }
+}
+
+/// Remains of the components that went last.
+#[derive(Default)]
+pub(crate) struct AllRemains {
+    kept: Mutex<VecDeque<Remains>>,
+    /// Ports of those that are kept behind which others' things still stand: a cycle was under way that
+    /// may look at them.
+    in_use: Mutex<Vec<Weak<Slots>>>,
+}
+
+impl AllRemains {
+    /// Takes what its component leaves, and all that others own out of it; true when a cycle may still
+    /// look at some of that, so that [`AllRemains::reclaim`] has to come by. Not real-time.
+    pub(crate) fn take(
+        &self,
+        host: &Arc<HostContext>,
+        table: Arc<SharedTable>,
+        slots: Vec<Arc<Slots>>,
+    ) -> bool {
+        host.leave();
+        slots.iter().for_each(|slots| slots.retire(host));
+        let in_use: Vec<_> = slots.iter().filter(|slots| slots.reclaim() > 0).map(Arc::downgrade).collect();
+        let again = !in_use.is_empty();
+        self.in_use.lock().unwrap_or_else(PoisonError::into_inner).extend(in_use);
+        let mut all = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        all.push_back(Remains { _table: table, slots });
+        let mut ports: usize = all.iter().map(Remains::ports).sum();
+        let mut oldest = Vec::new();
+        while ports > MOST_PORTS
+            && let Some(remains) = all.pop_front()
+        {
+            ports -= remains.ports();
+            oldest.push(remains);
+        }
+        drop(all);
+        // Outside the lock: that may take a while.
+        drop(oldest);
+        again
+    }
+
+    /// Drops what cycles looked at when its component went, and no longer do; how many sets of ports
+    /// are left. Managers only.
+    pub(crate) fn reclaim(&self) -> usize {
+        let list = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = list().clone();
+        // Outside the lock: the last owner of another component may be dropped, which comes here, too.
+        let is_done = |slots: &Weak<Slots>| slots.upgrade().is_none_or(|slots| slots.reclaim() == 0);
+        let done: Vec<_> = before.into_iter().filter(is_done).collect();
+        let mut in_use = list();
+        // They stay in the list meanwhile, so that a call beside this one counts them, too.
+        in_use.retain(|slots| !done.iter().any(|d| Weak::ptr_eq(d, slots)));
+        in_use.len()
+    }
+}

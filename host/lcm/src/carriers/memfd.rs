@@ -1,0 +1,107 @@
+//! The carrier `memfd`: memory that both ends map, the only one so far that leaves a process.
+//!
+//! Invariant: between two processes and, where it is pinned, inside one it is the same memory, laid out and used by the same code
+//! (`lcm/far`); inside one both ends are joined at once, without a session.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::sync::oneshot;
+use trocar_lcm_api::{HalfReport, LinkDetail};
+use trocar_links::Card;
+use trocar_model::{ComponentId, Refusal};
+use trocar_rt::wake::Waker;
+
+use super::super::far::{Far, Half, NAME, Near, Tell};
+use super::super::instance::{Instance, Loss};
+use super::{Both, Carrier, Halves, Joined, OneEnd};
+
+pub(super) struct Memfd {
+    /// `None` where this process does not listen for others.
+    far: Option<Far>,
+    near: Near,
+}
+
+impl Memfd {
+    /// # Errors
+    /// The socket cannot be made there, or the machine gives no more threads.
+    pub(super) fn start(
+        process: &str,
+        socket: Option<PathBuf>,
+        news: impl Fn(HalfReport) + Send + 'static,
+        bell: Arc<Waker>,
+    ) -> std::io::Result<Memfd> {
+        let far = socket.map(|socket| Far::start(process, socket, news)).transpose()?;
+        Ok(Memfd { far, near: Near::new(bell) })
+    }
+}
+
+impl Carrier for Memfd {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn joins(&self, both: &Both<'_>) -> Result<(), String> {
+        both.is_called_directly().map_or(Ok(()), Err)
+    }
+
+    fn join(&self, both: &Both<'_>) -> Result<Box<dyn Joined>, Refusal> {
+        self.near.join(both.connection, both.client, both.server)
+    }
+
+    fn halves(&self) -> Option<&dyn Halves> {
+        self.far.as_ref().map(|far| far as &dyn Halves)
+    }
+
+    fn tend(&self) -> bool {
+        self.near.tend()
+    }
+
+    fn stop(&self) {
+        if let Some(far) = &self.far {
+            far.stop();
+        }
+    }
+}
+
+impl Halves for Far {
+    fn card(&self) -> &Card {
+        Far::card(self)
+    }
+
+    fn reaches(&self, card: &Card) -> Result<(), String> {
+        self.card().reaches(card).map_err(|e| e.to_string())
+    }
+
+    fn add(&self, end: OneEnd, tell: Option<Tell>) -> Result<(), Refusal> {
+        let OneEnd { connection, role, here, required, theirs, card, kin } = end;
+        let half = Half::new((connection, role), here, required, (theirs, card, kin), tell);
+        half.terms(false)?;
+        Far::add(self, half);
+        Ok(())
+    }
+
+    fn remove(&self, connection: u64, how: Loss, tell: oneshot::Sender<()>) -> Option<Arc<Instance>> {
+        Far::remove(self, connection, how, tell).map(|half| half.here.instance.clone())
+    }
+
+    fn why_not(&self, connection: u64) -> String {
+        Far::why_not(self, connection)
+    }
+
+    fn cut_misfits(&self, component: &ComponentId, lost: &[String]) -> Vec<u64> {
+        Far::cut_misfits(self, component, lost)
+    }
+
+    fn connections(&self) -> Vec<u64> {
+        Far::connections(self)
+    }
+
+    fn details(&self) -> Vec<LinkDetail> {
+        Far::details(self)
+    }
+
+    fn reports(&self) -> Vec<HalfReport> {
+        Far::reports(self)
+    }
+}

@@ -1,0 +1,100 @@
+//! Reads that have to be asked for: those with an argument, answered by the server's process while the caller waits.
+//!
+//! Invariant: each question is answered, or given up at its deadline or with the link.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Duration;
+
+use trocar_links::Session;
+use trocar_plugin_api::abi::{DEADLINE, Outcome, PEER_LOST};
+use trocar_rt::os;
+
+use super::words::Words;
+
+/// What a server's process answers.
+pub(crate) struct ReadAnswer {
+    pub(crate) outcome: i32,
+    pub(crate) stamp_ns: u64,
+    pub(crate) value: Vec<u8>,
+    pub(crate) text: String,
+}
+
+/// Somebody who can be asked for the result of a read.
+pub(crate) trait Asking: Send + Sync {
+    /// Asks for the read at this place among the connection's functions and waits.
+    ///
+    /// # Errors
+    /// DEADLINE, or PEER_LOST when nobody will answer any more.
+    fn ask(&self, index: u32, arg: &[u8], within_ns: u64) -> Result<ReadAnswer, Outcome>;
+}
+
+/// The questions of one link.
+pub(super) struct Asks {
+    session: Weak<Session>,
+    connection: u64,
+    epoch: u64,
+    next: AtomicU64,
+    /// Those nobody has answered yet; `None` when nobody will.
+    open: Mutex<Option<BTreeMap<u64, SyncSender<ReadAnswer>>>>,
+}
+
+impl Asks {
+    pub(super) fn new(session: &Arc<Session>, connection: u64, epoch: u64) -> Arc<Asks> {
+        Arc::new(Asks {
+            session: Arc::downgrade(session),
+            connection,
+            epoch,
+            next: AtomicU64::new(1),
+            open: Mutex::new(Some(BTreeMap::new())),
+        })
+    }
+
+    /// Of a link that asks nobody.
+    pub(super) fn of_nobody(connection: u64, epoch: u64) -> Arc<Asks> {
+        let (next, open) = (AtomicU64::new(1), Mutex::new(None));
+        Arc::new(Asks { session: Weak::new(), connection, epoch, next, open })
+    }
+
+    fn open(&self) -> MutexGuard<'_, Option<BTreeMap<u64, SyncSender<ReadAnswer>>>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The answer to a question came.
+    pub(super) fn answer(&self, number: u64, answer: ReadAnswer) {
+        if let Some(tell) = self.open().as_mut().and_then(|open| open.remove(&number)) {
+            // Nobody waits any more.
+            let _ = tell.try_send(answer);
+        }
+    }
+
+    /// Nobody will answer any more.
+    pub(super) fn end(&self) {
+        *self.open() = None;
+    }
+}
+
+impl Asking for Asks {
+    fn ask(&self, index: u32, arg: &[u8], within_ns: u64) -> Result<ReadAnswer, Outcome> {
+        let session = self.session.upgrade().ok_or(PEER_LOST)?;
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
+        let (tell, told) = sync_channel(1);
+        self.open().as_mut().ok_or(PEER_LOST)?.insert(number, tell);
+        let left_ns = within_ns;
+        let words = Words::Ask { connection: self.connection, epoch: self.epoch, number, index, left_ns };
+        let until_ns = os::now_ns().saturating_add(within_ns);
+        let answer = session.send(&words.encode(arg), &[]).map_err(|_| PEER_LOST).and_then(|()| {
+            let left = Duration::from_nanos(until_ns.saturating_sub(os::now_ns()));
+            told.recv_timeout(left).map_err(|why| match why {
+                RecvTimeoutError::Timeout => DEADLINE,
+                RecvTimeoutError::Disconnected => PEER_LOST,
+            })
+        });
+        if let Some(open) = self.open().as_mut() {
+            open.remove(&number);
+        }
+        answer
+    }
+}

@@ -1,0 +1,264 @@
+//! What a server shows to clients in other processes: how it stands, its rows for those that have its class, and the results of its
+//! reads for those that have not.
+//!
+//! Invariant: rows and results are written by whoever publishes a row of the state table, and that one never waits; how it stands by
+//! whoever publishes that; its figures by the watchdog.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use trocar_loader::system;
+use trocar_rt::exclusive::TryCell;
+use trocar_rt::os;
+use trocar_rt::region::Region;
+use trocar_rt::segment::{Rows, Word};
+use trocar_rt::state::StateWriter;
+
+use super::super::boundary::{ERR_BYTES, Reader, read_published};
+use super::super::inbox::Position;
+use super::super::instance::Instance;
+use super::terms::of_rows;
+
+/// Time between two publications of period statistics, ns: they are sums over many cycles.
+const STATISTICS_NS: u64 = 10_000_000;
+
+/// How a server stands, in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub(crate) enum Standing {
+    NotActive = 0,
+    Active = 1,
+    /// It is removed, or about to be.
+    Gone = 2,
+}
+
+impl Standing {
+    pub(crate) fn of(word: u64) -> Standing {
+        match word {
+            1 => Standing::Active,
+            2 => Standing::Gone,
+            _ => Standing::NotActive,
+        }
+    }
+}
+
+/// Something that is written anew by whoever comes; who finds somebody at it has that one write once more.
+struct Kept<T> {
+    value: TryCell<T>,
+    missed: AtomicBool,
+}
+
+impl<T> Kept<T> {
+    fn new(value: T) -> Kept<T> {
+        Kept { value: TryCell::new(value), missed: AtomicBool::new(false) }
+    }
+
+    /// When this returns, `f` or that of somebody else has begun to write after it was called. Never waits.
+    fn write(&self, mut f: impl FnMut(&mut T)) {
+        if !self.attempt(&mut f) {
+            // Either this one finds the place free now, or whoever leaves it finds the mark.
+            self.missed.swap(true, Ordering::AcqRel);
+            self.attempt(&mut f);
+        }
+    }
+
+    fn attempt(&self, f: &mut impl FnMut(&mut T)) -> bool {
+        // Once more for each who came meanwhile.
+        loop {
+            let Some(mut value) = self.value.try_enter() else { return false };
+            f(&mut value);
+            drop(value);
+            if !self.missed.swap(false, Ordering::AcqRel) {
+                return true;
+            }
+        }
+    }
+}
+
+/// The rows of a server, for all clients that work its reads out themselves: one copy more per row, however many there are.
+pub(crate) struct ShownRows {
+    rows: Kept<Rows<StateWriter>>,
+    region: Arc<Region>,
+}
+
+impl ShownRows {
+    /// # Errors
+    /// The machine has not that much memory, or no file to spare.
+    pub(crate) fn create(server: &Instance) -> io::Result<Arc<ShownRows>> {
+        let (bytes, agreed) = of_rows(&server.info);
+        let rows = Rows::create(bytes, agreed)?;
+        let region = rows.region().ok_or_else(|| io::Error::other("rows without memory"))?;
+        Ok(Arc::new(ShownRows { rows: Kept::new(rows), region }))
+    }
+
+    pub(super) fn fd(&self) -> io::Result<OwnedFd> {
+        let fd = self.region.fd().ok_or_else(|| io::Error::other("memory without a file"))?;
+        fd.try_clone_to_owned()
+    }
+
+    /// The newest row, if there is one. Real-time.
+    pub(crate) fn show(&self, server: &Instance) {
+        self.rows.write(|rows| {
+            rows.end.publish_with(|row| server.rows.latest(row).map(|info| (info.stamp_ns, info.tick)));
+        });
+    }
+}
+
+/// A read whose results are published.
+pub(super) struct Shown {
+    pub(super) from: Reader,
+    pub(super) bytes: usize,
+    pub(super) table: StateWriter,
+    /// Sentences of those that failed.
+    pub(super) whys: StateWriter,
+    /// It panicked last time.
+    panicked: bool,
+}
+
+/// One client's view of a server.
+pub(crate) struct Face {
+    standing: Word,
+    /// Where the reads stand that the client works out itself.
+    own: Vec<(Arc<Position>, Word)>,
+    pub(crate) rows: Option<Arc<ShownRows>>,
+    /// Published with rows of the state table.
+    results: Option<Kept<Vec<Shown>>>,
+    /// Published with the state.
+    status: Mutex<Vec<Shown>>,
+    figures: Option<Kept<Figures>>,
+}
+
+struct Figures {
+    shown: Vec<Shown>,
+    /// When they were published last, ns.
+    at_ns: u64,
+}
+
+fn unless_empty<T>(all: Vec<Shown>, make: impl FnOnce(Vec<Shown>) -> T) -> Option<Kept<T>> {
+    if all.is_empty() { None } else { Some(Kept::new(make(all))) }
+}
+
+impl Face {
+    /// `own`: the reads that the client works out itself from `rows`.
+    pub(super) fn new(
+        standing: Word,
+        shown: Vec<Shown>,
+        own: Vec<(Arc<Position>, Word)>,
+        rows: Option<Arc<ShownRows>>,
+    ) -> Arc<Face> {
+        let is = |shown: &Shown, which| matches!(shown.from, Reader::System(system) if system == which);
+        let (status, rest): (Vec<_>, Vec<_>) = shown.into_iter().partition(|s| is(s, system::GET_STATE));
+        let (figures, results) = rest.into_iter().partition(|s| is(s, system::PERIOD_STATISTICS));
+        let face = Face {
+            standing,
+            own,
+            rows,
+            results: unless_empty(results, |all| all),
+            status: Mutex::new(status),
+            figures: unless_empty(figures, |shown| Figures { shown, at_ns: 0 }),
+        };
+        face.show_positions();
+        Arc::new(face)
+    }
+
+    /// Where the reads stand now that the client works out itself.
+    pub(crate) fn show_positions(&self) {
+        for (position, word) in &self.own {
+            loop {
+                let now = position.get();
+                word.set(now.map_or(0, |id| u64::from(id) + 1));
+                // Whoever moves it comes here afterwards.
+                if position.get() == now {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// How the server stands now. Whoever changes that comes here afterwards, so the last one to come shows the last change.
+    pub(crate) fn show_standing(&self, server: &Instance) {
+        loop {
+            let now = server.standing();
+            self.standing.set(now as u64);
+            if server.standing() == now {
+                break;
+            }
+        }
+        let mut shown = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        shown.iter_mut().for_each(|read| read.publish(server));
+    }
+
+    /// The results of its reads now. Real-time.
+    pub(crate) fn show_row(&self, server: &Instance) {
+        if let Some(results) = &self.results {
+            results.write(|shown| shown.iter_mut().for_each(|read| read.publish(server)));
+        }
+    }
+
+    /// Its figures now, unless that was a moment ago. Never on a thread that steps: they are sums over many cycles.
+    pub(crate) fn show_figures(&self, server: &Instance) {
+        let Some(figures) = &self.figures else { return };
+        figures.write(|figures| {
+            let now_ns = os::now_ns();
+            if now_ns >= figures.at_ns + STATISTICS_NS {
+                figures.at_ns = now_ns;
+                figures.shown.iter_mut().for_each(|read| read.publish(server));
+            }
+        });
+    }
+}
+
+impl Shown {
+    pub(super) fn new(from: Reader, bytes: usize, table: StateWriter, whys: StateWriter) -> Shown {
+        Shown { from, bytes, table, whys, panicked: false }
+    }
+
+    fn publish(&mut self, server: &Instance) {
+        let (from, bytes, again) = (&self.from, self.bytes, self.panicked);
+        let mut text = [0; ERR_BYTES];
+        let (whys, panicked) = (&mut self.whys, &mut self.panicked);
+        self.table.publish_with(|row| {
+            let read = read_published(server, from, &[], &mut row[..bytes], &mut text, again);
+            *panicked = read.panicked;
+            if read.text_bytes > 0 {
+                // Before the outcome, so that who sees the one finds the other.
+                whys.publish_with(|why| {
+                    let said = read.text_bytes.min(why.len());
+                    why[..said].copy_from_slice(&text[..said]);
+                    Some((read.stamp_ns, said as u64))
+                });
+            }
+            // What a step of the reader looks at is the outcome.
+            Some((read.stamp_ns, read.outcome as u64))
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::sync::atomic::AtomicU64;
+
+    use super::*;
+
+    /// Whoever publishes last is seen last, whoever was writing meanwhile.
+    #[test]
+    fn what_was_published_before_a_write_is_seen_after_it() {
+        let (kept, published, shown) = (Kept::new(()), AtomicU64::new(0), AtomicU64::new(0));
+        let show = || kept.write(|()| shown.store(published.load(Ordering::SeqCst), Ordering::SeqCst));
+        std::thread::scope(|scope| {
+            for _ in 0..2 {
+                scope.spawn(|| {
+                    for _ in 0..20_000 {
+                        published.fetch_add(1, Ordering::SeqCst);
+                        show();
+                    }
+                });
+            }
+        });
+        assert_eq!(shown.into_inner(), 40_000, "the last one was not shown");
+    }
+}

@@ -1,0 +1,310 @@
+//! One end of a connection between two processes, as long as the GCM wants the connection.
+//!
+//! Invariant: it is linked to one session at a time, under one epoch; what comes of another one is not for it.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+use trocar_lcm_api::{HalfReport, LinkDetail};
+use trocar_links::{Card, Session};
+use trocar_model::{Connection, End, PortId, Ports, Proxy, Refusal};
+
+use super::super::connect::passing;
+use super::super::dynamic::PortSet;
+use super::super::instance::Loss;
+use super::kin::Kin;
+use super::missed::Missed;
+use super::terms::{Terms, Way};
+use super::wires::{ClientWires, Here, ServerWires};
+
+/// So long a server's process may take to answer before it is asked again.
+const ANSWER: Duration = Duration::from_secs(1);
+/// How the data of such connections travel.
+pub(crate) const CARRIER: &str = "memfd";
+
+/// Which end of the connection is here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    Client,
+    Server,
+}
+
+/// Hears once what came of the first try to link; the reason when nothing did.
+pub(crate) type Tell = oneshot::Sender<Result<(), String>>;
+
+pub(crate) struct Half {
+    pub(super) connection: Connection,
+    pub(super) role: Role,
+    pub(crate) here: Here,
+    /// The client cannot do without it.
+    pub(super) required: bool,
+    /// Ports of the component at the other end.
+    pub(super) theirs: Arc<Ports>,
+    /// The process of the other end.
+    pub(super) card: Card,
+    /// Of a client: whether the code of the server's class is here.
+    pub(super) kin: Kin,
+    stage: Mutex<Stage>,
+}
+
+#[derive(Default)]
+pub(super) struct Stage {
+    pub(super) linked: Option<Linked>,
+    /// Why not; empty at first.
+    pub(super) why: String,
+    /// Waits for the first link.
+    pub(super) tell: Option<Tell>,
+    /// The session over which the server's process was asked last, and when.
+    asked: Option<(u64, Instant)>,
+    /// What passed and was lost on earlier links of this connection.
+    before: LinkDetail,
+    /// Of an output, what it wrote while it was not linked.
+    missed: Missed,
+}
+
+pub(super) struct Linked {
+    pub(super) session: Arc<Session>,
+    pub(super) epoch: u64,
+    pub(super) wires: Wires,
+}
+
+pub(super) enum Wires {
+    Client(ClientWires),
+    Server(ServerWires),
+}
+
+impl Half {
+    pub(crate) fn new(
+        (connection, role): (Connection, Role),
+        here: Here,
+        required: bool,
+        (theirs, card, kin): (Arc<Ports>, Card, Kin),
+        tell: Option<Tell>,
+    ) -> Arc<Half> {
+        let stage = Mutex::new(Stage { tell, ..Stage::default() });
+        Arc::new(Half { connection, role, here, required, theirs, card, kin, stage })
+    }
+
+    pub(super) fn number(&self) -> u64 {
+        self.connection.id.0
+    }
+
+    /// The process of the other end.
+    pub(super) fn other(&self) -> &str {
+        self.other_port().component.process.as_str()
+    }
+
+    pub(super) fn other_port(&self) -> &PortId {
+        match self.role {
+            Role::Client => &self.connection.server,
+            Role::Server => &self.connection.client,
+        }
+    }
+
+    /// Whether that session is with the run of the process this half was made with.
+    pub(super) fn is_with(&self, session: &Session) -> bool {
+        let peer = session.peer();
+        peer.process == self.other() && peer.instance == self.card.instance
+    }
+
+    /// Whether the server's process is to be asked over this session: each is asked once, unless it never answers.
+    pub(super) fn may_ask(&self, session: &Session) -> bool {
+        let stage = self.stage();
+        let waits = |(number, since): (u64, Instant)| number == session.number() && since.elapsed() < ANSWER;
+        stage.linked.is_none() && !stage.asked.is_some_and(waits)
+    }
+
+    pub(super) fn asked(&self, over: Option<&Session>) {
+        self.stage().asked = over.map(|session| (session.number(), Instant::now()));
+    }
+
+    /// Takes over what another half of the same connection has counted.
+    pub(super) fn go_on_from(&self, other: &Half) {
+        let (before, missed) = {
+            let other = other.stage();
+            (other.before.clone(), other.missed)
+        };
+        let mut stage = self.stage();
+        (stage.before, stage.missed) = (before, missed);
+    }
+
+    /// The wires, if it is linked over this session in this epoch.
+    pub(super) fn with_wires<R>(
+        &self,
+        session: &Arc<Session>,
+        epoch: u64,
+        f: impl FnOnce(&Wires) -> R,
+    ) -> Option<R> {
+        let stage = self.stage();
+        let linked = stage.linked.as_ref()?;
+        (Arc::ptr_eq(&linked.session, session) && linked.epoch == epoch).then(|| f(&linked.wires))
+    }
+
+    /// So many commands of this link that the client only sent failed, and so many never ran: it is told.
+    pub(super) fn pay(&self, failed: u64, unexecuted: u64) {
+        let other = &self.other_port().component;
+        let tell = |what: &str, how: &str, count: u64| {
+            if count > 0 {
+                let stem = format!("commands it sent to {other} {what}");
+                self.here.instance.warn_about(&stem, &format!(": {count} so far{how}"));
+            }
+        };
+        tell("failed", "", failed);
+        tell(
+            "never ran",
+            " were still queued when it stopped or was cut off, or had waited too long",
+            unexecuted,
+        );
+    }
+
+    pub(super) fn stage(&self) -> MutexGuard<'_, Stage> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Its terms by the ports that are here now, and those ports. `own`: the client works reads out itself.
+    ///
+    /// # Errors
+    /// They do not go together any more.
+    pub(crate) fn terms(&self, own: bool) -> Result<(Arc<PortSet>, Terms), Refusal> {
+        let set = self.here.instance.described.now();
+        let (client, server) = match self.role {
+            Role::Client => (&set.ports, &self.theirs),
+            Role::Server => (&self.theirs, &set.ports),
+        };
+        let terms = Terms::of(&self.connection, client, server, own)?;
+        if let (Role::Server, Way::Stream { input, output, .. }) = (self.role, &terms.way) {
+            let (from, to) = (&server.outputs[*output].ty, &client.inputs[*input].ty);
+            passing(&self.connection, from, to, set.slots.output(*output))?;
+        }
+        Ok((set, terms))
+    }
+
+    /// Whether it can stay as it is after the ports here became others, by the rule for connections inside the process.
+    pub(super) fn still_fits(&self) -> bool {
+        let Ok((set, terms)) = self.terms(false) else { return false };
+        match (&self.stage().linked, &terms.way) {
+            (_, Way::Stream { .. }) => false,
+            (None, Way::Calls { .. }) => true,
+            (Some(linked), Way::Calls { binding, .. }) => match &linked.wires {
+                Wires::Client(wires) => wires.still_fit(binding, &set),
+                Wires::Server(wires) => wires.still_fit(binding, &set),
+            },
+        }
+    }
+
+    /// The port of this end.
+    pub(super) fn port(&self) -> &PortId {
+        match self.role {
+            Role::Client => &self.connection.client,
+            Role::Server => &self.connection.server,
+        }
+    }
+
+    /// It is linked.
+    pub(super) fn link(&self, session: &Arc<Session>, epoch: u64, wires: Wires) {
+        let mut stage = self.stage();
+        stage.linked = Some(Linked { session: session.clone(), epoch, wires });
+        stage.why.clear();
+        let tell = stage.tell.take();
+        drop(stage);
+        if self.role == Role::Client && self.required {
+            self.here.instance.connected(self.connection.client.port.as_str());
+        }
+        if let Some(tell) = tell {
+            // Whoever asked has given up.
+            let _ = tell.send(Ok(()));
+        }
+    }
+
+    /// It cannot be linked as things are; tells whoever waits, where waiting longer is of no use.
+    pub(super) fn fail(&self, why: String, for_good: bool) {
+        let mut stage = self.stage();
+        if for_good && let Some(tell) = stage.tell.take() {
+            let _ = tell.send(Err(why.clone()));
+        }
+        stage.why = why;
+    }
+
+    /// Takes the wires away, if it is linked (over this session, where one is named).
+    pub(super) fn unlink(&self, of: Option<&Arc<Session>>, why: &str, how: Loss) -> Option<Linked> {
+        let mut stage = self.stage();
+        let is_it = |linked: &mut Linked| of.is_none_or(|session| Arc::ptr_eq(session, &linked.session));
+        let linked = stage.linked.take_if(is_it)?;
+        why.clone_into(&mut stage.why);
+        drop(stage);
+        let (last, offered) = match &linked.wires {
+            Wires::Client(wires) => {
+                wires.disconnect(&self.here, how);
+                (wires.detail(), None)
+            }
+            Wires::Server(wires) => wires.end(&self.connection, &self.here),
+        };
+        let mut stage = self.stage();
+        stage.before = std::mem::take(&mut stage.before).followed_by(&last);
+        if let Some(offered) = offered {
+            stage.missed.ended(offered);
+        }
+        drop(stage);
+        if self.role == Role::Client && self.required {
+            self.here.instance.disconnected(self.connection.client.port.as_str(), how);
+        }
+        Some(linked)
+    }
+
+    /// The other process is gone: whoever waits for it is answered now, inputs have no source; the rest follows. Any thread.
+    pub(super) fn lose(&self, session: &Arc<Session>) {
+        if let Some(Linked { session: mine, wires: Wires::Client(wires), .. }) = &self.stage().linked
+            && Arc::ptr_eq(mine, session)
+        {
+            wires.lose();
+        }
+    }
+
+    /// Nothing is different since that was told.
+    pub(super) fn stands_as(&self, told: &HalfReport) -> bool {
+        let stage = self.stage();
+        let epoch = stage.linked.as_ref().map_or(0, |linked| linked.epoch);
+        told.proxy.as_ref().is_some_and(|p| p.epoch == epoch && (epoch > 0 || p.why == stage.why))
+    }
+
+    /// How it stands; `unsaid` says why it is not linked where nobody else did.
+    pub(super) fn report(&self, unsaid: impl FnOnce() -> String) -> HalfReport {
+        let stage = self.stage();
+        let (end, port) = match self.role {
+            Role::Client => (End::Client, &self.connection.client),
+            Role::Server => (End::Server, &self.connection.server),
+        };
+        let epoch = stage.linked.as_ref().map_or(0, |linked| linked.epoch);
+        let why = match (epoch, stage.why.as_str()) {
+            (0, "") => unsaid(),
+            (0, why) => why.to_owned(),
+            _ => String::new(),
+        };
+        let process = port.component.process.clone();
+        let proxy = Some(Proxy { process, epoch, why, carrier: CARRIER.into() });
+        HalfReport { connection: self.number(), end, proxy }
+    }
+
+    pub(super) fn detail(&self) -> LinkDetail {
+        let stage = self.stage();
+        let now = match &stage.linked {
+            Some(Linked { wires: Wires::Client(wires), .. }) => wires.detail(),
+            Some(Linked { wires: Wires::Server(wires), .. }) => wires.detail(),
+            None => LinkDetail::default(),
+        };
+        let mut all = stage.before.clone().followed_by(&now);
+        let offered = match &stage.linked {
+            Some(Linked { wires: Wires::Server(wires), .. }) => wires.offered(),
+            _ => None,
+        };
+        all.dropped += stage.missed.so_far(offered);
+        let mine = self.here.instance.wake_mode();
+        let (client_wake, server_wake) = match &stage.linked {
+            Some(Linked { wires: Wires::Server(wires), .. }) if !wires.is_output() => ("", mine),
+            Some(Linked { wires: Wires::Client(_), .. }) => (mine, ""),
+            _ => ("", ""),
+        };
+        LinkDetail { connection: self.number(), carrier: CARRIER.into(), client_wake, server_wake, ..all }
+    }
+}

@@ -1,0 +1,195 @@
+//! All halves of this process, and who is told of what happens to them.
+//!
+//! Invariant: a half is in the list from the moment it is added until it is removed; only the thread `trocar-far` (`worker.rs`) links
+//! and unlinks. The thread of the sessions never waits for it.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::io;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use tokio::sync::oneshot;
+use trocar_lcm_api::{HalfReport, LinkDetail};
+use trocar_links::{Card, Handler, Links, Lost, Message, Session};
+use trocar_model::ComponentId;
+use trocar_rt::house;
+use trocar_rt::wake::Waker;
+
+use super::super::instance::Loss;
+use super::half::Half;
+use super::worker::{Worker, unsaid};
+
+pub(super) type Halves = Arc<Mutex<BTreeMap<u64, Arc<Half>>>>;
+
+pub(super) fn locked(halves: &Halves) -> MutexGuard<'_, BTreeMap<u64, Arc<Half>>> {
+    halves.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub(super) fn all(halves: &Halves) -> Vec<Arc<Half>> {
+    locked(halves).values().cloned().collect()
+}
+
+pub(super) enum Todo {
+    Met(Arc<Session>),
+    Said(Arc<Session>, Message),
+    Lost(Arc<Session>, String),
+    /// It is in the list, and this one was there in its place.
+    Added(Arc<Half>, Option<Arc<Half>>),
+    /// It is not in the list any more.
+    Removed(Arc<Half>, Loss, oneshot::Sender<()>),
+    Stop,
+}
+
+/// What `trocar-far` has to do. Its bell is also rung by outputs that give frames of a pool nobody was told of.
+#[derive(Default)]
+pub(super) struct Todos {
+    queue: Mutex<VecDeque<Todo>>,
+    pub(super) bell: Arc<Waker>,
+}
+
+impl Todos {
+    fn queue(&self) -> MutexGuard<'_, VecDeque<Todo>> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, todo: Todo) {
+        self.queue().push_back(todo);
+        self.bell.notify();
+    }
+
+    pub(super) fn next(&self) -> Option<Todo> {
+        self.queue().pop_front()
+    }
+}
+
+/// All connections of this process to others.
+pub(crate) struct Far {
+    links: Arc<Links>,
+    halves: Halves,
+    todos: Arc<Todos>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+/// On the thread of the sessions.
+struct Teller {
+    halves: Halves,
+    todos: Arc<Todos>,
+}
+
+impl Handler for Teller {
+    fn met(&mut self, session: &Arc<Session>) {
+        self.todos.push(Todo::Met(session.clone()));
+    }
+
+    fn said(&mut self, session: &Arc<Session>, message: Message) {
+        self.todos.push(Todo::Said(session.clone(), message));
+    }
+
+    fn lost(&mut self, session: &Arc<Session>, why: &Lost) {
+        all(&self.halves).iter().for_each(|half| half.lose(session));
+        self.todos.push(Todo::Lost(session.clone(), why.to_string()));
+    }
+}
+
+impl Far {
+    /// Listens for other processes at `socket`; `news` hears how each half stands.
+    ///
+    /// # Errors
+    /// The socket cannot be made there, or the machine gives no more threads.
+    pub(crate) fn start(
+        process: &str,
+        socket: PathBuf,
+        news: impl Fn(HalfReport) + Send + 'static,
+    ) -> io::Result<Far> {
+        let halves = Halves::default();
+        let todos = Arc::new(Todos::default());
+        let teller = Teller { halves: halves.clone(), todos: todos.clone() };
+        let links = Arc::new(Links::start(Card::own(process, socket)?, teller)?);
+        let worker = Worker::new(links.clone(), halves.clone(), todos.clone(), news);
+        let thread =
+            house::spawn(std::thread::Builder::new().name("trocar-far".into()), move || worker.run())?;
+        Ok(Far { links, halves, todos, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// What other processes need to know to reach this one.
+    pub(crate) fn card(&self) -> &Card {
+        self.links.card()
+    }
+
+    /// From now on this half is linked whenever it can be; in place of another one of the same connection.
+    pub(crate) fn add(&self, half: Arc<Half>) {
+        let before = locked(&self.halves).insert(half.number(), half.clone());
+        self.todos.push(Todo::Added(half, before));
+    }
+
+    /// The half of a connection goes, which is answered; told when its wires are cut.
+    pub(crate) fn remove(&self, connection: u64, how: Loss, tell: oneshot::Sender<()>) -> Option<Arc<Half>> {
+        let half = locked(&self.halves).remove(&connection)?;
+        self.todos.push(Todo::Removed(half.clone(), how, tell));
+        Some(half)
+    }
+
+    /// Lets the connections go whose ports at this component, of those that were lost, are not what they were; which those are.
+    pub(crate) fn cut_misfits(&self, component: &ComponentId, lost: &[String]) -> Vec<u64> {
+        let of = |half: &&Arc<Half>| {
+            let port = half.port();
+            port.component == *component && lost.iter().any(|lost| lost == port.port.as_str())
+        };
+        let halves = self.halves();
+        let misfits = halves.iter().filter(of).filter(|half| !half.still_fits()).map(|half| half.number());
+        let misfits: Vec<u64> = misfits.collect();
+        for connection in &misfits {
+            self.remove(*connection, Loss::Cut, oneshot::channel().0);
+        }
+        misfits
+    }
+
+    pub(crate) fn connections(&self) -> Vec<u64> {
+        locked(&self.halves).keys().copied().collect()
+    }
+
+    fn halves(&self) -> Vec<Arc<Half>> {
+        all(&self.halves)
+    }
+
+    /// Why it is not linked, as far as anybody knows.
+    pub(crate) fn why_not(&self, connection: u64) -> String {
+        let Some(half) = locked(&self.halves).get(&connection).cloned() else {
+            return "it was disconnected".into();
+        };
+        let why = half.stage().why.clone();
+        if why.is_empty() { unsaid(&self.links, &half) } else { why }
+    }
+
+    pub(crate) fn details(&self) -> Vec<LinkDetail> {
+        let halves = self.halves().into_iter().map(|half| {
+            let HalfReport { end, proxy, .. } = half.report(|| unsaid(&self.links, &half));
+            LinkDetail { halves: proxy.map(|proxy| (end, proxy)).into_iter().collect(), ..half.detail() }
+        });
+        halves.collect()
+    }
+
+    /// How each half stands.
+    pub(crate) fn reports(&self) -> Vec<HalfReport> {
+        self.halves().iter().map(|half| half.report(|| unsaid(&self.links, half))).collect()
+    }
+
+    /// Cuts all and ends the threads.
+    pub(crate) fn stop(&self) {
+        self.todos.push(Todo::Stop);
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(thread) = thread
+            && thread.join().is_err()
+        {
+            log::error!("the thread of the connections to other processes panicked");
+        }
+        self.links.stop();
+    }
+}
+
+impl Drop for Far {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}

@@ -1,0 +1,261 @@
+//! The client's half: calls, reads and events bound to the memory, or an input that reads from it.
+//!
+//! Invariant: as for all wires; a read is worked out here only with the code the server's process has.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::sync::Arc;
+
+use trocar_lcm_api::LinkDetail;
+use trocar_loader::convert::back;
+use trocar_model::{Binding, Connection, CopyRun, PortType, Ports};
+use trocar_plugin_api::abi::PEER_LOST;
+use trocar_rt::os;
+use trocar_rt::segment::{Agreed, FarCalls, Rows, Stream};
+use trocar_rt::state::StateReader;
+use trocar_rt::stream::{FarViews, StreamCounters, StreamReader};
+use trocar_rt::wake::Waker;
+
+use super::super::super::boundary::{
+    DEFAULT_DEADLINE_NS, FarCommand, FarRead, FarServer, FarSource, FarTable, FnBinding, FnCell, InCell,
+    InLink, Newest, OwnClass, OwnRead, OwnRows, Panics, RangeCheck, Shape,
+};
+use super::super::super::connect::lane;
+use super::super::super::dynamic::PortSet;
+use super::super::super::inbox::{Check, Inbox};
+use super::super::super::instance::Loss;
+use super::super::asks::Asks;
+use super::super::terms::{Reading, Way, commands, of_rows, size};
+
+use super::{Here, full, is_status, settle};
+
+/// The client's wires.
+pub(in crate::far) enum ClientWires {
+    Input {
+        input: Arc<InCell>,
+        link: Arc<InLink>,
+        stats: StreamCounters,
+        depth: usize,
+        bell: Arc<Waker>,
+        views: Arc<FarViews>,
+        bytes: usize,
+    },
+    Calls {
+        functions: Vec<Arc<FnCell>>,
+        server: Arc<FarServer>,
+        events_in: Arc<Inbox>,
+        bell: Arc<Waker>,
+        asks: Arc<Asks>,
+        /// Of reads worked out here.
+        panics: Arc<Panics>,
+        /// Of how many of them the server's process was told.
+        told: u64,
+    },
+}
+
+/// What a client needs to work reads out itself: the class of its server, and the rows its process shows.
+pub(in crate::far) struct Own {
+    pub(in crate::far) class: OwnClass,
+    pub(in crate::far) rows: OwnedFd,
+}
+
+impl ClientWires {
+    /// Wires the memory of the server up.
+    ///
+    /// # Errors
+    /// It is not what was agreed, or the thread can be woken by no more connections.
+    pub(in crate::far) fn connect(
+        (memory, agreed): (OwnedFd, Agreed),
+        way: &Way,
+        connection: &Connection,
+        (here, set): (&Here, &PortSet),
+        (server, asks, own): (&Ports, Arc<Asks>, Option<Own>),
+        views: Arc<FarViews>,
+    ) -> io::Result<ClientWires> {
+        match way {
+            Way::Stream { input, ty, shape, depth, adapt, .. } => {
+                let stream = Stream::<StreamReader>::open(memory, *shape, agreed, &views)?;
+                let cell = set.slots.input(*input).clone();
+                Self::read(stream, views, connection, here, (cell, ty, *depth, adapt.clone()))
+            }
+            Way::Calls { binding, shape } => {
+                let calls = FarCalls::open(memory, shape, agreed)?;
+                Self::call(calls, binding, connection, (here, set), (server, asks, own))
+            }
+        }
+    }
+
+    #[expect(clippy::type_complexity, reason = "the parts of `Way::Stream` a reader needs")]
+    fn read(
+        stream: Stream<StreamReader>,
+        views: Arc<FarViews>,
+        connection: &Connection,
+        here: &Here,
+        (cell, ty, depth, adapt): (Arc<InCell>, &PortType, usize, Option<(Vec<CopyRun>, usize)>),
+    ) -> io::Result<ClientWires> {
+        here.executor.add_bell(stream.for_reader.clone(), here.instance.clone()).map_err(full)?;
+        let stats = stream.end.counters();
+        let max_age_ns = connection.options.max_age_ns.unwrap_or(0);
+        let newest = Newest::Far(stream.newest_ns, os::now_ns());
+        let link = Arc::new(InLink::new(stream.end, depth, max_age_ns, newest, back::port(ty).into(), adapt));
+        cell.connect(Some(link.clone()));
+        here.instance.reclaim();
+        let bytes = Shape::of(ty).bytes;
+        Ok(ClientWires::Input { input: cell, link, stats, depth, bell: stream.for_reader, views, bytes })
+    }
+
+    fn call(
+        calls: FarCalls,
+        binding: &Binding,
+        connection: &Connection,
+        (here, set): (&Here, &PortSet),
+        (ports, asks, own): (&Ports, Arc<Asks>, Option<Own>),
+    ) -> io::Result<ClientWires> {
+        let client = &here.instance;
+        let panics = Arc::new(Panics::default());
+        let rows = |own: Own| -> io::Result<_> {
+            let (bytes, agreed) = of_rows(&own.class.info);
+            let rows = Rows::<StateReader>::open(own.rows, bytes, agreed)?;
+            Ok((OwnRows::new(&own.class, rows.end, panics.clone()), own.class))
+        };
+        let own = own.map(rows).transpose()?;
+        here.executor.add_bell(calls.for_client.clone(), client.clone()).map_err(full)?;
+        let handlers: Vec<_> = set.ports.required.iter().flat_map(|r| &r.handlers).collect();
+        let checks = binding
+            .handlers
+            .iter()
+            .map(|(h, _)| Check { bytes: size(handlers[*h].payload.as_ref()), range: None });
+        let events_in = Inbox::far_events(
+            calls.events,
+            binding.handlers.iter().map(|(h, _)| set.handlers[*h].clone()).collect(),
+            here.from(&connection.server.component),
+            checks.collect(),
+        );
+        client.edit_inboxes(|all| all.push(events_in.clone()));
+        let server = FarServer::new(calls.commands, calls.replies, calls.server, calls.for_server);
+        let deadline_ns = connection.options.deadline_ns.unwrap_or(DEFAULT_DEADLINE_NS);
+        let all = commands(ports);
+        let mut tables = calls.reads.into_iter().zip(calls.whys);
+        let mut positions = calls.own_reads.into_iter();
+        let functions = binding.functions.iter().enumerate().map(|(index, (function, id))| {
+            let command = all[*id];
+            let range = command.arg.as_ref().and_then(RangeCheck::of);
+            let lane = lane(command, index);
+            let to = if let Some(reading) = Reading::of(ports, &all, *id, own.is_some()) {
+                let mut here = || own.as_ref().zip(positions.next());
+                let source = match reading {
+                    Reading::Published => tables.next().map(|(results, whys)| {
+                        let status = is_status(ports, *id);
+                        FarSource::Table(FarTable { results, whys, status })
+                    }),
+                    Reading::Here => here().map(|((rows, class), at)| {
+                        FarSource::Here(OwnRead::new(rows, at, command, class, ports), asks.clone())
+                    }),
+                    Reading::Asked => None,
+                };
+                FnBinding::FarRead(FarRead {
+                    server: server.clone(),
+                    index: lane.index,
+                    source: source.unwrap_or_else(|| FarSource::Ask(asks.clone())),
+                    arg_bytes: lane.arg_bytes,
+                    ret_bytes: lane.ret_bytes,
+                    range,
+                    deadline_ns,
+                })
+            } else {
+                FnBinding::FarCommand(FarCommand { server: server.clone(), lane, range, deadline_ns })
+            };
+            let cell = set.slots.function(*function);
+            cell.bind(to, back::command(command));
+            cell.clone()
+        });
+        let functions = functions.collect();
+        client.reclaim();
+        Ok(ClientWires::Calls { functions, server, events_in, bell: calls.for_client, asks, panics, told: 0 })
+    }
+
+    /// Whether these are the wires of a binding as it is now.
+    pub(in crate::far) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
+        let ClientWires::Calls { functions, events_in, .. } = self else { return false };
+        let mut bound = binding.functions.iter().map(|(function, _)| set.slots.function(*function));
+        let mut handlers = binding.handlers.iter().map(|(handler, _)| &set.handlers[*handler]);
+        let targets = &events_in.targets;
+        (functions.len(), targets.len()) == (bound.len(), handlers.len())
+            && functions.iter().all(|function| bound.next().is_some_and(|now| Arc::ptr_eq(now, function)))
+            && targets.iter().all(|target| handlers.next().is_some_and(|now| Arc::ptr_eq(now, target)))
+    }
+
+    /// Of the reads worked out here how many panicked, and what the last one said, if those are more than last time.
+    pub(in crate::far) fn untold_panics(&mut self) -> Option<(u64, String)> {
+        let ClientWires::Calls { panics, told, .. } = self else { return None };
+        let (now, text) = panics.so_far();
+        (std::mem::replace(told, now) != now).then_some((now, text))
+    }
+
+    /// Whoever waits for the server is answered, and its output is an input's source no more. Any thread; no memory is given back, which
+    /// takes its time.
+    pub(in crate::far) fn lose(&self) {
+        match self {
+            ClientWires::Calls { server, asks, .. } => {
+                server.lose();
+                asks.end();
+            }
+            ClientWires::Input { input, .. } => input.connect(None),
+        }
+    }
+
+    /// Cuts them. Unless their server is lost, what has begun there is carried to its end and answered.
+    pub(in crate::far) fn disconnect(&self, here: &Here, how: Loss) {
+        let client = &here.instance;
+        match (how, self) {
+            (Loss::Peer, _) => self.lose(),
+            (_, ClientWires::Calls { asks, .. }) => asks.end(),
+            _ => {}
+        }
+        match self {
+            ClientWires::Input { input, bell, .. } => {
+                input.connect(None);
+                here.executor.remove_bell(bell.clone());
+            }
+            ClientWires::Calls { functions, events_in, bell, .. } => {
+                functions.iter().for_each(|f| f.unbind());
+                client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
+                client.counters.keep_losses(events_in);
+                let before = events_in.unexecuted();
+                events_in.close(PEER_LOST);
+                client.counters.lose(events_in, events_in.unexecuted() - before);
+                here.executor.remove_bell(bell.clone());
+            }
+        }
+        settle(client);
+    }
+
+    pub(in crate::far) fn detail(&self) -> LinkDetail {
+        match self {
+            ClientWires::Input { link, stats, depth, bytes, .. } => {
+                let passed = stats.stats().taken;
+                LinkDetail {
+                    passed,
+                    depth: *depth as u64,
+                    bytes: passed.saturating_mul(*bytes as u64),
+                    latency_p50_ns: link.latency.percentile(0.50),
+                    latency_p99_ns: link.latency.percentile(0.99),
+                    ..LinkDetail::default()
+                }
+            }
+            ClientWires::Calls { server, events_in, .. } => {
+                let (c, e) = (server.commands.stats(), events_in.mailbox.stats());
+                LinkDetail {
+                    passed: c.pushed + e.pushed,
+                    skipped: c.superseded,
+                    dropped: c.dropped.saturating_sub(c.superseded) + c.rejected + e.dropped + e.rejected,
+                    rejected: c.rejected + e.rejected,
+                    depth: c.depth,
+                    high_water: c.high_water.max(e.high_water),
+                    unexecuted: events_in.unexecuted(),
+                    ..LinkDetail::default()
+                }
+            }
+        }
+    }
+}

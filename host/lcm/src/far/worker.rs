@@ -1,0 +1,581 @@
+//! The thread `trocar-far`: links halves when the other process is there, takes the links away when it is not.
+//!
+//! Invariant: a half is linked only over a session with the very run of the process that the GCM named; what any other run of that
+//! name says concerns nobody. Each session is asked once for each link.
+
+use std::collections::BTreeMap;
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::PathBuf;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
+
+use trocar_lcm_api::HalfReport;
+use trocar_links::{Links, Message, Session};
+use trocar_rt::os;
+use trocar_rt::segment::Agreed;
+use trocar_rt::stream::{FarPools, FarViews};
+
+use super::super::boundary::FarServer;
+use super::super::instance::Loss;
+use super::asks::{Asks, ReadAnswer};
+use super::face::ShownRows;
+use super::half::{Half, Linked, Role, Wires};
+use super::kin::code_of;
+use super::manager::{Halves, Todo, Todos, all, locked};
+use super::pools::{Untold, all_came, map};
+use super::serving::{Desk, Question};
+use super::wires::{ClientWires, Offer, Own, ServerWires, header_bytes};
+use super::words::{Pool, Words};
+
+/// How often links of frames are looked at for pools their other end was not told of, and for frames that come back.
+const POOLS_LOOK: Duration = Duration::from_millis(10);
+/// How often a link that came to nothing is asked for again, while both processes live.
+const RETRY: Duration = Duration::from_millis(200);
+/// Links of one session, gone, whose frames stay lent.
+const MOST_LENT: usize = 32;
+/// How long a session outlives the last connection that needed it.
+const LINGER: Duration = Duration::from_secs(1);
+/// How often clients are told what became of commands they only sent.
+const TOLL: Duration = Duration::from_secs(1);
+
+pub(super) struct Worker {
+    links: Arc<Links>,
+    halves: Halves,
+    todos: Arc<Todos>,
+    /// Live ones, dialled or not.
+    sessions: Vec<Arc<Session>>,
+    /// Of the newest link.
+    epoch: u64,
+    retried: Instant,
+    tolled: Instant,
+    /// Links that are gone while their readers, over these sessions, still hold frames.
+    lent: Vec<(Arc<Session>, Arc<FarPools>)>,
+    /// Servers of connections that were cut, over these sessions, while calls in them were under way.
+    leaving: Vec<(Arc<Session>, Weak<FarServer>)>,
+    /// Where processes listen whose session nobody needs any more, since when: what is under way ends first, and who connects again
+    /// right after finds it.
+    left: Vec<(PathBuf, Instant)>,
+    /// How each half stood when that was told last.
+    told: BTreeMap<u64, HalfReport>,
+    news: Box<dyn Fn(HalfReport) + Send>,
+}
+
+/// Why a half is not linked, when nothing was said of it yet.
+pub(super) fn unsaid(links: &Links, half: &Half) -> String {
+    let other = half.other();
+    match half.role {
+        Role::Client => links
+            .why_not(&half.card.socket)
+            .unwrap_or_else(|| format!("process {other} has not answered yet")),
+        Role::Server => format!("process {other} has not asked for it yet"),
+    }
+}
+
+fn say(session: &Session, words: &Words, behind: &[u8], files: &[OwnedFd]) -> Result<(), String> {
+    let files: Vec<_> = files.iter().map(AsFd::as_fd).collect();
+    session.send(&words.encode(behind), &files).map_err(|e| e.to_string())
+}
+
+/// Tells a server of its reads that panicked here, if there are new ones.
+fn tell_panics(session: &Session, (connection, epoch): (u64, u64), wires: &mut ClientWires) {
+    if let Some((count, text)) = wires.untold_panics() {
+        let _ = say(session, &Words::Panicked { connection, epoch, count }, text.as_bytes(), &[]);
+    }
+}
+
+/// The rows of a half's component and their file, for a client whose process has this code of its class; none where it has not, or
+/// where they cannot be had: then it asks.
+fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedFd)> {
+    let server = &half.here.instance;
+    let reads = half.terms(true).is_ok_and(|(_, terms)| terms.works_reads_out());
+    if !reads || code.is_none() || code != code_of(&server.info) {
+        return None;
+    }
+    let rows = server.rows_for_others().and_then(|rows| Ok((rows.clone(), rows.fd()?)));
+    let stem = "its rows cannot be shown to other processes, so that their steps cannot call reads of it with an argument";
+    rows.inspect_err(|e| server.warn_about(stem, &format!(": {e}"))).ok()
+}
+
+impl Worker {
+    pub(super) fn new(
+        links: Arc<Links>,
+        halves: Halves,
+        todos: Arc<Todos>,
+        news: impl Fn(HalfReport) + Send + 'static,
+    ) -> Worker {
+        Worker {
+            links,
+            halves,
+            todos,
+            sessions: Vec::new(),
+            epoch: 0,
+            retried: Instant::now(),
+            tolled: Instant::now(),
+            lent: Vec::new(),
+            leaving: Vec::new(),
+            left: Vec::new(),
+            told: BTreeMap::new(),
+            news: Box::new(news),
+        }
+    }
+
+    pub(super) fn run(mut self) {
+        loop {
+            let pause_ns = self.pause().map(|pause| os::now_ns() + pause.as_nanos() as u64);
+            self.todos.bell.wait(pause_ns);
+            while let Some(todo) = self.todos.next() {
+                if !self.follow(todo) {
+                    return;
+                }
+                self.tell();
+            }
+            self.retry();
+            self.look_at_frames();
+            self.tell_tolls();
+            self.lent.retain(|(session, pools)| !session.is_lost() && !pools.are_back());
+            self.leaving.retain(|(_, server)| server.strong_count() > 0);
+            self.leave();
+            self.tell();
+        }
+    }
+
+    /// False when this was the last one.
+    fn follow(&mut self, todo: Todo) -> bool {
+        match todo {
+            Todo::Met(session) => self.met(session),
+            Todo::Said(session, message) => self.said(&session, message),
+            Todo::Lost(session, why) => self.lost(&session, &why),
+            Todo::Added(half, before) => self.added(&half, before),
+            Todo::Removed(half, how, tell) => {
+                self.removed(&half, how);
+                self.tell();
+                let _ = tell.send(());
+            }
+            Todo::Stop => {
+                let all = std::mem::take(&mut *locked(&self.halves));
+                all.values().for_each(|half| self.removed(half, Loss::Cut));
+                return false;
+            }
+        }
+        true
+    }
+
+    /// When to look again, should nothing be said until then.
+    fn pause(&self) -> Option<Duration> {
+        let pause = |half: Arc<Half>| match (&half.stage().linked, half.role) {
+            (Some(Linked { wires: Wires::Server(wires), .. }), _) if wires.lends() => Some(POOLS_LOOK),
+            (Some(Linked { wires: Wires::Server(ServerWires::Calls { .. }), .. }), _) => Some(TOLL),
+            (Some(Linked { wires: Wires::Client(ClientWires::Calls { .. }), .. }), _) => Some(TOLL),
+            (None, Role::Client) => Some(RETRY),
+            _ => None,
+        };
+        let lent = (!self.lent.is_empty()).then_some(POOLS_LOOK);
+        let left = (!self.left.is_empty()).then_some(RETRY);
+        all(&self.halves).into_iter().filter_map(pause).chain(lent).chain(left).min()
+    }
+
+    /// Tells how the halves stand that stand differently.
+    fn tell(&mut self) {
+        let all = all(&self.halves);
+        for half in &all {
+            if self.told.get(&half.number()).is_some_and(|told| half.stands_as(told)) {
+                continue;
+            }
+            let report = half.report(|| unsaid(&self.links, half));
+            if self.told.get(&report.connection) != Some(&report) {
+                (self.news)(report.clone());
+                self.told.insert(report.connection, report);
+            }
+        }
+        let gone = |number: &u64| !all.iter().any(|half| half.number() == *number);
+        for (_, report) in self.told.extract_if(.., |number, _| gone(number)) {
+            (self.news)(HalfReport { proxy: None, ..report });
+        }
+    }
+
+    fn added(&mut self, half: &Arc<Half>, before: Option<Arc<Half>>) {
+        if half.role == Role::Client {
+            // Before the one in its place leaves, or their session would end in between.
+            self.links.want(&half.card.socket);
+        }
+        if let Some(before) = before {
+            self.removed(&before, Loss::Replaced);
+            half.go_on_from(&before);
+        }
+        match half.role {
+            Role::Client => self.open(half),
+            Role::Server => {
+                for session in self.sessions.iter().filter(|session| half.is_with(session)) {
+                    let _ = say(session, &Words::Offered { connection: half.number() }, &[], &[]);
+                }
+            }
+        }
+    }
+
+    fn removed(&mut self, half: &Arc<Half>, how: Loss) {
+        self.unlink(half, None, "it was disconnected", how, true);
+        half.fail("it was disconnected".into(), true);
+        if half.role == Role::Client {
+            self.left.push((half.card.socket.clone(), Instant::now()));
+        }
+    }
+
+    /// Lets sessions go that nobody needs any more.
+    fn leave(&mut self) {
+        let busy = !self.leaving.is_empty();
+        let links = &self.links;
+        self.left.retain(|(socket, since)| {
+            let stays = busy || since.elapsed() < LINGER;
+            if !stays {
+                links.leave(socket);
+            }
+            stays
+        });
+    }
+
+    /// Takes the wires of a half away, if it is linked (over this session, where one is named), and has the other end do the same
+    /// where that cannot know. True if it was.
+    fn unlink(
+        &mut self,
+        half: &Half,
+        of: Option<&Arc<Session>>,
+        why: &str,
+        how: Loss,
+        tell_other: bool,
+    ) -> bool {
+        let Some(Linked { session, epoch, mut wires }) = half.unlink(of, why, how) else { return false };
+        let connection = half.number();
+        if let Wires::Client(wires) = &mut wires {
+            tell_panics(&session, (connection, epoch), wires);
+        }
+        if tell_other {
+            let _ = say(&session, &Words::Close { connection, epoch }, &[], &[]);
+        }
+        match wires {
+            _ if session.is_lost() => {}
+            // What the reader still holds stays as it is until it lets go, or is gone.
+            Wires::Server(ServerWires::Output { pools, .. }) => self.keep_lent(session, pools),
+            // What has begun there is carried to its end, unless that process ends first.
+            Wires::Client(ClientWires::Calls { server, .. }) => {
+                self.leaving.push((session, Arc::downgrade(&server)));
+            }
+            _ => {}
+        }
+        true
+    }
+
+    /// What the reader of a link that is gone still holds stays as it is; not of any number of links, though.
+    fn keep_lent(&mut self, session: Arc<Session>, pools: Arc<FarPools>) {
+        let same = |(over, _): &(Arc<Session>, _)| Arc::ptr_eq(over, &session);
+        if self.lent.iter().filter(|kept| same(kept)).count() >= MOST_LENT
+            && let Some(oldest) = self.lent.iter().position(same)
+        {
+            self.lent.remove(oldest);
+        }
+        self.lent.push((session, pools));
+    }
+
+    fn met(&mut self, session: Arc<Session>) {
+        self.sessions.retain(|s| !s.is_lost());
+        self.sessions.push(session.clone());
+        for half in all(&self.halves).iter().filter(|half| half.is_with(&session)) {
+            match half.role {
+                Role::Client => self.open(half),
+                Role::Server => {
+                    let _ = say(&session, &Words::Offered { connection: half.number() }, &[], &[]);
+                }
+            }
+        }
+    }
+
+    /// Asks the server's process for the memory, if there is a session with it that was not asked.
+    fn open(&self, half: &Half) {
+        let Some(session) = self.links.session(&half.card.socket) else {
+            if let Some(why) = self.links.refused(&half.card.socket) {
+                half.fail(format!("process {} and this one do not come together: {why}", half.other()), true);
+            }
+            return;
+        };
+        if !half.is_with(&session) {
+            let why = "another run of it listens there than the one this connection was made with: the GCM has to be asked";
+            return half.fail(why.into(), false);
+        }
+        if !half.may_ask(&session) {
+            return;
+        }
+        let hash = match half.terms(false) {
+            Ok((_, terms)) => terms.hash,
+            Err(refusal) => return half.fail(refusal.to_string(), true),
+        };
+        let code = (half.kin)().and_then(|own| code_of(&own.info));
+        let words = Words::Open { connection: half.number(), hash, code };
+        match say(&session, &words, &[], &[]) {
+            Ok(()) => half.asked(Some(&session)),
+            Err(why) => half.fail(why, false),
+        }
+    }
+
+    fn lost(&mut self, session: &Arc<Session>, why: &str) {
+        self.sessions.retain(|s| !Arc::ptr_eq(s, session));
+        for (_, server) in self.leaving.extract_if(.., |(over, _)| Arc::ptr_eq(over, session)) {
+            if let Some(server) = server.upgrade() {
+                server.lose();
+            }
+        }
+        let why_not = format!("process {}: {why}", session.peer().process);
+        let unlink =
+            |half: Arc<Half>| half.unlink(Some(session), &why_not, Loss::Peer).map(|cut| (half, cut));
+        let cut: Vec<_> = all(&self.halves).into_iter().filter_map(unlink).collect();
+        for (half, _) in &cut {
+            let (here, other) = (half.port().port.as_str(), half.other_port());
+            half.here.instance.warn_about(&format!("{here} has lost {other}"), &format!(": {why}"));
+        }
+        // The memory of all these links goes last: nobody is to wait for that.
+        drop(cut);
+    }
+
+    fn said(&mut self, session: &Arc<Session>, message: Message) {
+        let (words, behind) = match Words::decode(&message.bytes) {
+            Ok(said) => said,
+            Err(why) => return session.condemn(&why),
+        };
+        let connection = words.connection();
+        // Only the process of the other end, in the run that is meant, has a say in a connection.
+        let half = locked(&self.halves).get(&connection).filter(|half| half.is_with(session)).cloned();
+        let Some(half) = half else {
+            if let Words::Open { .. } = words {
+                let why = format!("connection {connection} is not known there yet");
+                let _ = say(session, &Words::Declined { connection, why, later: true }, &[], &[]);
+            }
+            return;
+        };
+        match (half.role, words) {
+            (Role::Client, Words::Offered { .. }) => self.open(&half),
+            (Role::Client, Words::Opened { epoch, rows, pools, .. }) => {
+                self.opened(session, &half, (epoch, rows, &pools), message);
+            }
+            (Role::Client, Words::Declined { why, later, .. }) => {
+                half.asked(None);
+                let why = trocar_model::plain::sentence(why.as_bytes());
+                half.fail(format!("process {} declines: {why}", half.other()), !later);
+            }
+            (Role::Client, Words::Pools { epoch, pools, .. }) => {
+                self.pools(session, &half, epoch, &pools, message)
+            }
+            (Role::Client, Words::Told { epoch, number, outcome, stamp_ns, value_bytes, .. }) => {
+                let (value, text) = behind.split_at(behind.len().min(value_bytes as usize));
+                let text = trocar_model::plain::sentence(text);
+                let answer = ReadAnswer { outcome, stamp_ns, value: value.to_vec(), text };
+                half.with_wires(session, epoch, |wires| {
+                    if let Wires::Client(ClientWires::Calls { asks, .. }) = wires {
+                        asks.answer(number, answer);
+                    }
+                });
+            }
+            (Role::Client, Words::Toll { epoch, failed, unexecuted, .. })
+                if half.with_wires(session, epoch, |_| ()).is_some() =>
+            {
+                half.pay(failed, unexecuted);
+            }
+            (Role::Server, Words::Open { hash, code, .. }) => self.opens(session, &half, hash, code),
+            (Role::Server, Words::Panicked { epoch, count, .. }) => {
+                half.with_wires(session, epoch, |wires| {
+                    if let Wires::Server(wires) = wires {
+                        wires.panicked(count, behind, (&half.here, half.other()));
+                    }
+                });
+            }
+            (Role::Server, Words::Ask { epoch, number, index, left_ns, .. }) => {
+                let until_ns = os::now_ns().saturating_add(left_ns);
+                let question = Question { number, index, until_ns, arg: behind.to_vec() };
+                half.with_wires(session, epoch, |wires| {
+                    if let Wires::Server(ServerWires::Calls { desk, .. }) = wires {
+                        desk.ask(question);
+                    }
+                });
+            }
+            // Of an earlier link it says nothing new.
+            (_, Words::Close { epoch, .. }) if half.with_wires(session, epoch, |_| ()).is_some() => {
+                let why = format!("process {} has disconnected it", half.other());
+                self.unlink(&half, Some(session), &why, Loss::Cut, false);
+            }
+            // Said by the wrong end: nothing comes of it.
+            _ => {}
+        }
+    }
+
+    /// The client's process asks for the memory.
+    fn opens(&mut self, session: &Arc<Session>, half: &Arc<Half>, hash: u64, code: Option<String>) {
+        let connection = half.number();
+        let decline = |why: String| {
+            half.fail(why.clone(), false);
+            let _ = say(session, &Words::Declined { connection, why, later: false }, &[], &[]);
+        };
+        let (_, terms) = match half.terms(false) {
+            Ok(both) => both,
+            Err(refusal) => return decline(refusal.to_string()),
+        };
+        if hash != terms.hash {
+            let (mine, theirs) = (terms.hash, hash);
+            return decline(format!(
+                "the types of {} are others in the two processes (hash {mine:#018x} in {}, {theirs:#018x} in {}): both must have \
+                 the same version of its plugin",
+                half.connection.server,
+                half.connection.server.component.process,
+                half.other()
+            ));
+        }
+        // A client that asks again has lost its end.
+        self.unlink(half, None, "its client asked anew", Loss::Cut, true);
+        let rows = rows_for(half, code);
+        let (set, terms) = match half.terms(rows.is_some()) {
+            Ok(both) => both,
+            Err(refusal) => return decline(refusal.to_string()),
+        };
+        self.epoch = os::now_ns().max(self.epoch + 1);
+        let epoch = self.epoch;
+        let offer = match Offer::make(&terms.way, Agreed { hash: terms.hash, epoch }, &self.todos.bell) {
+            Ok(offer) => offer,
+            Err(e) => return decline(format!("no memory for it: {e}")),
+        };
+        let memory = match offer.fd() {
+            Ok(fd) => fd,
+            Err(e) => return decline(e.to_string()),
+        };
+        offer.expect_pools(&terms.way, &set);
+        let (rows, rows_file) = rows.unzip();
+        let desk = |served| Desk::open(&half.here.instance, session, (connection, epoch), served);
+        let here = (&half.here, &*set);
+        let mut wires = match ServerWires::connect(offer, &terms.way, &half.connection, here, rows, desk) {
+            Ok(wires) => wires,
+            Err(e) => return decline(e.to_string()),
+        };
+        let Untold { pools, files, told } = Untold::of(&wires);
+        Untold::note(told, &mut wires);
+        half.link(session, epoch, Wires::Server(wires));
+        let rows = rows_file.is_some();
+        let files: Vec<OwnedFd> = std::iter::once(memory).chain(rows_file).chain(files).collect();
+        if let Err(why) = say(session, &Words::Opened { connection, epoch, rows, pools }, &[], &files) {
+            self.unlink(half, None, &why, Loss::Cut, false);
+            let _ = say(session, &Words::Declined { connection, why, later: true }, &[], &[]);
+        }
+    }
+
+    /// The server's process gave the memory.
+    fn opened(
+        &mut self,
+        session: &Arc<Session>,
+        half: &Arc<Half>,
+        (epoch, rows, pools): (u64, bool, &[Pool]),
+        message: Message,
+    ) {
+        let connection = half.number();
+        half.asked(None);
+        self.unlink(half, None, "its server opened it anew", Loss::Cut, false);
+        let link = || -> Result<(), String> {
+            all_came(&message)?;
+            let mut files = message.files.into_iter();
+            let memory = files.next().ok_or("no memory came along")?;
+            let own = if rows {
+                let rows = files.next().ok_or("no rows came along")?;
+                let class = (half.kin)().ok_or("it shows rows to this process, which has not their class")?;
+                Some(Own { class, rows })
+            } else {
+                None
+            };
+            let (set, terms) = half.terms(own.is_some()).map_err(|refusal| refusal.to_string())?;
+            let views = FarViews::new(header_bytes(&terms.way));
+            map(&views, pools, files)?;
+            let wires = ClientWires::connect(
+                (memory, Agreed { hash: terms.hash, epoch }),
+                &terms.way,
+                &half.connection,
+                (&half.here, &set),
+                (&half.theirs, Asks::new(session, connection, epoch), own),
+                views,
+            );
+            half.link(session, epoch, Wires::Client(wires.map_err(|e| e.to_string())?));
+            Ok(())
+        };
+        if let Err(why) = link() {
+            half.fail(why, true);
+            let _ = say(session, &Words::Close { connection, epoch }, &[], &[]);
+        }
+    }
+
+    /// The server's process told of pools whose frames are to come.
+    fn pools(&mut self, session: &Arc<Session>, half: &Half, epoch: u64, pools: &[Pool], message: Message) {
+        let parts = half.with_wires(session, epoch, |wires| match wires {
+            Wires::Client(ClientWires::Input { views, bell, .. }) => Some((views.clone(), bell.clone())),
+            _ => None,
+        });
+        let Some(Some((views, bell))) = parts else { return };
+        // Mapping takes its time: whoever looks at the half meanwhile does not wait for it.
+        match all_came(&message).and_then(|()| map(&views, pools, message.files)) {
+            // A frame may wait for it.
+            Ok(()) => _ = bell.notify(),
+            Err(why) => {
+                self.unlink(half, Some(session), &why, Loss::Cut, true);
+            }
+        }
+    }
+
+    /// Asks once more for what came to nothing.
+    fn retry(&mut self) {
+        if self.retried.elapsed() < RETRY {
+            return;
+        }
+        self.retried = Instant::now();
+        for half in all(&self.halves).iter().filter(|half| half.role == Role::Client) {
+            self.open(half);
+        }
+    }
+
+    /// Tells clients of the pools whose frames wait for it, and takes back frames; a link that has seen too many
+    /// pools is made anew.
+    fn look_at_frames(&mut self) {
+        for half in all(&self.halves) {
+            let (connection, mut stage) = (half.number(), half.stage());
+            let Some(Linked { session, epoch, wires: Wires::Server(wires) }) = &mut stage.linked else {
+                continue;
+            };
+            wires.collect();
+            let (session, overflowed) = (session.clone(), wires.has_overflowed());
+            let Untold { pools, files, told } = Untold::of(wires);
+            if !pools.is_empty() {
+                match say(&session, &Words::Pools { connection, epoch: *epoch, pools }, &[], &files) {
+                    Ok(()) => Untold::note(told, wires),
+                    Err(why) => {
+                        log::debug!("connection {connection}: its client is told of a pool later: {why}")
+                    }
+                }
+            }
+            drop(stage);
+            if overflowed {
+                self.unlink(&half, None, "its frames came from too many pools", Loss::Cut, true);
+                let _ = say(&session, &Words::Offered { connection }, &[], &[]);
+            }
+        }
+    }
+
+    /// Tells clients of commands they only sent and that came to nothing here, and servers of their reads that panicked here.
+    fn tell_tolls(&mut self) {
+        if self.tolled.elapsed() < TOLL {
+            return;
+        }
+        self.tolled = Instant::now();
+        for half in all(&self.halves) {
+            let (connection, mut stage) = (half.number(), half.stage());
+            let Some(Linked { session, epoch, wires }) = &mut stage.linked else { continue };
+            match wires {
+                Wires::Server(wires) => {
+                    if let Some((failed, unexecuted)) = wires.untold_toll() {
+                        let words = Words::Toll { connection, epoch: *epoch, failed, unexecuted };
+                        let _ = say(session, &words, &[], &[]);
+                    }
+                }
+                Wires::Client(wires) => tell_panics(session, (connection, *epoch), wires),
+            }
+        }
+    }
+}

@@ -1,0 +1,377 @@
+//! What is queued for a component and how it is run: commands, events, answers.
+//!
+//! Invariant: every entry that carries a reply is answered once; component code runs only for the holder of the entry lock.
+
+use std::sync::{Arc, PoisonError};
+
+use trocar_plugin_api::abi::{
+    DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, STATUS_OK, STATUS_PANICKED,
+    Status,
+};
+use trocar_rt::mailbox::EntryHead;
+use trocar_rt::os;
+
+use super::super::boundary::{
+    EntryError, as_bytes, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
+};
+use super::super::dynamic::Goal;
+use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
+use super::super::supervise::{Entry, Misdeed};
+use super::super::{context, pending};
+use super::{Entered, Instance, Misuse};
+
+/// Calls after a Start, and after one that did it, that are looked at for the rounding mode they leave. To read
+/// that word costs 10 to 20 ns on some processors, several times a direct call: not each can be.
+pub(crate) const CALLS_ON_TRIAL: u32 = 256;
+
+/// A command that was queued is not carried out: its tap is told.
+#[cold]
+fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outcome: Outcome) {
+    let tap = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened());
+    if let Some((tap, command)) = tap.zip(command) {
+        tap.tell_queued(command, arg, outcome);
+    }
+}
+
+/// A goal that was only sent may wait so long for an actuator, ns, where its connection says no deadline; or
+/// so many of the actuator's own periods.
+const GOAL_NS: u64 = 100_000_000;
+const GOAL_PERIODS: u64 = 3;
+/// Likewise of a stream of goals, ns: a machine without real-time threads is late by some milliseconds.
+const SERVO_NS: u64 = 10_000_000;
+/// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
+const ROUNDS: usize = 2;
+
+/// Longest wait of a goal that was only sent, ns; `None`: no limit. `said_ns` is the deadline of its
+/// connection and `period_ns` that of the component's own grid, 0 without one.
+fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> Option<u64> {
+    let periods_ns = GOAL_PERIODS * period_ns;
+    match goal {
+        Goal::None => None,
+        _ if said_ns > 0 => Some(said_ns),
+        _ if !is_actuator => None,
+        Goal::Numbers | Goal::State => Some(GOAL_NS.max(periods_ns)),
+        Goal::Servo if periods_ns > 0 => Some(SERVO_NS.max(periods_ns)),
+        Goal::Servo => Some(GOAL_NS),
+    }
+}
+
+/// The rounding mode before one of its calls, while those are looked at.
+#[inline]
+fn look_at_rounding(entered: &mut Entered<'_>) -> Option<u32> {
+    let on_trial = &mut entered.inner().on_trial;
+    (*on_trial > 0).then(|| {
+        *on_trial -= 1;
+        os::rounding()
+    })
+}
+
+impl Instance {
+    /// Changes the list of queues; managers only.
+    pub(crate) fn edit_inboxes(&self, f: impl FnOnce(&mut Vec<Arc<Inbox>>)) {
+        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut inboxes = self.inboxes.enter().clone();
+        f(&mut inboxes);
+        self.inboxes.swap(Box::new(inboxes));
+    }
+
+    /// All queues into it.
+    pub(crate) fn queues(&self) -> Vec<Arc<Inbox>> {
+        self.inboxes.enter().clone()
+    }
+
+    /// Commands and events lost in full queues, those of connections that are gone included.
+    pub(crate) fn queue_losses(&self) -> [u64; 2] {
+        let mut lost = self.counters.lost_before();
+        for inbox in self.inboxes.enter().iter() {
+            let s = inbox.mailbox.stats();
+            lost[usize::from(inbox.events)] += s.rejected + s.dropped.saturating_sub(s.superseded);
+        }
+        lost
+    }
+
+    /// Answers everything queued, unexecuted; after whatever ended it was noted.
+    pub(crate) fn refuse_queued(&self, outcome: Outcome) {
+        // A call is queued, marked, and then looks once more whether it may be: either it is found here or it sees why not.
+        self.signalled.meet();
+        let inboxes = self.inboxes.enter();
+        inboxes.iter().for_each(|inbox| inbox.refuse_all(outcome));
+        // What came behind an entry that was just in hand here may have been left by its own thread: see `throw_out`.
+        self.signalled.meet();
+        if inboxes.iter().any(|inbox| inbox.mailbox.has_ready()) {
+            self.signalled.set();
+            self.wake();
+        }
+    }
+
+    /// Runs what is queued: what was there, plus once what arrived meanwhile. Real-time.
+    pub(crate) fn drain(&self, entered: &mut Entered<'_>) {
+        self.inboxes.look(|inboxes| self.drain_all(entered, inboxes));
+    }
+
+    fn drain_all(&self, entered: &mut Entered<'_>, inboxes: &[Arc<Inbox>]) {
+        for inbox in inboxes {
+            if inbox.mailbox.is_empty() {
+                continue;
+            }
+            let run = |head: EntryHead, payload: &[u8]| {
+                let Some(target) = inbox.targets.get(head.index as usize) else { return };
+                let turn_away = |entered: &mut Entered<'_>, outcome| {
+                    if head.kind != ENTRY_EVENT {
+                        tell_queued(entered, target.get(), payload, outcome);
+                    }
+                    inbox.refuse(head, outcome);
+                };
+                if !inbox.admits(head, payload) {
+                    return turn_away(entered, INVALID_ARGUMENT);
+                }
+                match (head.kind, target.get()) {
+                    (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, self.turned_away()),
+                    (ENTRY_EVENT, Some(handler)) => {
+                        self.deliver(entered, handler, payload);
+                        // Without a step after it nobody else would.
+                        if !pending::later(self) {
+                            self.publish_state(entered);
+                        }
+                    }
+                    (_, Some(_)) if head.reply == 0 && !self.is_active() => {
+                        turn_away(entered, self.turned_away())
+                    }
+                    (_, Some(command)) if self.is_late(inbox, head, command, payload) => {
+                        turn_away(entered, DEADLINE)
+                    }
+                    (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
+                    // Queued for a command that is not in the description any more.
+                    (_, None) => inbox.refuse(head, DISABLED),
+                }
+            };
+            // Superseded by a newer one of the same command.
+            let skip = |head: EntryHead| replaced(&inbox.replies, head.reply);
+            inbox.mailbox.drain(run, skip);
+        }
+    }
+
+    /// Whether a command has waited longer than it says, or than its goal is right. Carrying it out would
+    /// move a device by a wish from before a standstill. Real-time.
+    fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32, arg: &[u8]) -> bool {
+        if head.kind == ENTRY_DUE {
+            return os::now_ns() > head.stamp_ns;
+        }
+        // Without a time nothing ages.
+        if head.stamp_ns == 0 {
+            return false;
+        }
+        let goal = self.described.look(|set| set.goals.get(command as usize).copied().unwrap_or_default());
+        may_wait_ns(goal.with(arg), inbox.deadline_ns, self.is_actuator(), self.period_ns())
+            .is_some_and(|longest_ns| os::now_ns().saturating_sub(head.stamp_ns) > longest_ns)
+    }
+
+    /// Counted; the watchdog tells of it. Real-time unless it panicked.
+    #[cold]
+    fn handler_failed(&self, entered: &mut Entered<'_>, status: Status, err: &mut ErrBuf) {
+        if status == STATUS_PANICKED {
+            self.fail(entered, "on_event", &EntryError::new(status, sentence(err)));
+        } else {
+            self.counters.failed(Misuse::HandlerFailed, text_in(err));
+        }
+    }
+
+    /// Runs a handler inside the `emit` of another component of the same thread. Real-time.
+    #[inline]
+    pub(crate) fn handle(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
+        let before = context::swap_component(Arc::as_ptr(&self.host));
+        self.deliver(entered, handler, payload);
+        if !pending::later(self) {
+            self.publish_state(entered);
+        }
+        context::swap_component(before);
+    }
+
+    #[inline]
+    fn deliver(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
+        if !self.is_active() {
+            return;
+        }
+        let watched = self.watch.begin(Entry::Event, 0);
+        let mut err = entered.err_buf();
+        let rounding = look_at_rounding(entered);
+        let status = entered.on_event(handler, payload.as_ptr(), &raw mut err);
+        self.keep_rounding(entered, rounding);
+        self.watch.leave(watched);
+        if status != STATUS_OK {
+            self.handler_failed(entered, status, &mut err);
+        }
+    }
+
+    fn answer(&self, entered: &mut Entered<'_>, inbox: &Inbox, command: u32, reply: u64, payload: &[u8]) {
+        let running = if reply == 0 {
+            None
+        } else {
+            match inbox.replies.begin(reply, PEER_LOST) {
+                Some(running) => Some(running),
+                // The caller gave up before it began: not executed, as it was told.
+                None => return tell_queued(entered, Some(command), payload, DEADLINE),
+            }
+        };
+        let mut err = entered.err_buf();
+        let ret = entered.inner().ret.as_mut_ptr();
+        let outcome = if self.is_active() {
+            self.command_inside(entered, command, payload.as_ptr(), ret.cast(), &raw mut err)
+        } else {
+            let outcome = self.turned_away();
+            tell_queued(entered, Some(command), payload, outcome);
+            outcome
+        };
+        if running.is_some() {
+            // Whoever gets the answer may read at once, also of others that ran inside this command.
+            pending::publish();
+            self.publish_state(entered);
+        }
+        if running.is_none() && outcome != EXECUTED {
+            inbox.note_failure(text_in(&err));
+        }
+        if let Some(running) = running {
+            let text = text_in(&err);
+            let value = as_bytes(&entered.inner().ret);
+            running.finish(outcome, |ret, room| {
+                let n = ret.len().min(value.len());
+                ret[..n].copy_from_slice(&value[..n]);
+                let n = room.len().min(text.len());
+                room[..n].copy_from_slice(&text[..n]);
+                n
+            });
+        }
+    }
+
+    /// Runs one command.
+    #[inline(always)]
+    pub(crate) fn command_inside(
+        &self,
+        entered: &mut Entered<'_>,
+        command: u32,
+        arg: *const u8,
+        ret: *mut u8,
+        err: *mut ErrBuf,
+    ) -> Outcome {
+        // The reason of a panic is kept also where the caller wants none.
+        let mut own = entered.err_buf();
+        let err = if err.is_null() { &raw mut own } else { err };
+        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let watched = self.watch.begin_command(command);
+        let rounding = look_at_rounding(entered);
+        let status = entered.command(command, arg, ret, err);
+        self.keep_rounding(entered, rounding);
+        self.watch.leave(watched);
+        context::swap_component(before);
+        self.counters.command();
+        if let Some(tap) = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened()) {
+            tap.tell(command, arg, plain_outcome(status), Some(self));
+        }
+        if status == STATUS_PANICKED {
+            self.command_panicked(entered, command, err);
+        } else if !pending::later(self) {
+            self.publish_state(entered);
+        }
+        if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }
+    }
+
+    /// Puts the rounding mode back to what it was before a command or handler: the code that runs next on
+    /// this thread may be its caller's. Real-time, no system call.
+    #[inline]
+    fn keep_rounding(&self, entered: &mut Entered<'_>, before: Option<u32>) {
+        let Some(before) = before else { return };
+        if os::rounding() != before {
+            os::reset_rounding(before);
+            entered.inner().on_trial = CALLS_ON_TRIAL;
+            self.watch.misdeed(Misdeed::RoundingInCall);
+        }
+    }
+
+    #[cold]
+    fn command_panicked(&self, entered: &mut Entered<'_>, command: u32, err: *mut ErrBuf) {
+        let error = EntryError::new(STATUS_PANICKED, sentence(err));
+        let entry =
+            self.command_name(command).map_or_else(|| "command".into(), |name| format!("command {name}"));
+        self.fail(entered, &entry, &error);
+        // Making it safe may have failed as well, and said so in the same place.
+        write_err(err, error.text.as_bytes());
+    }
+
+    /// `interface/command` of the command at this position, as its ports are now.
+    pub(crate) fn command_name(&self, command: u32) -> Option<String> {
+        let ports = self.ports();
+        let mut all = ports.provided.iter().flat_map(|i| i.commands.iter().map(move |c| (i, c)));
+        let (interface, command) = all.nth(command as usize)?;
+        Some(format!("{}/{}", interface.name, command.name))
+    }
+
+    /// Runs what was queued while somebody was inside a passive component.
+    #[inline]
+    pub(crate) fn drain_if_passive(&self) {
+        if self.is_passive() {
+            self.drain_passive();
+        }
+    }
+
+    #[inline(never)]
+    fn drain_passive(&self) {
+        if context::is_deferred() {
+            self.wake();
+            return;
+        }
+        let work = |mut entered: Entered<'_>| {
+            self.drain(&mut entered);
+            self.pay_safe(&mut entered);
+        };
+        let free = || self.object.is_free();
+        if self.signalled.serve(ROUNDS, || self.object.try_enter(), free, work) {
+            // Also where this is its own thread, which may be on its way to rest.
+            context::wake(&self.waker);
+        }
+    }
+
+    /// Leaves the mark that something is there for whoever is inside; true when nobody is any more.
+    pub(super) fn leave_mark(&self) -> bool {
+        self.signalled.leave(|| self.object.is_free())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Goal, may_wait_ns};
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_goal_waits_for_an_actuator_100_ms_and_one_of_a_stream_three_periods_unless_its_connection_says() {
+        use Goal::{None as Words, Numbers, Servo, State};
+        // Goal, deadline of its connection, whether it moves something, period; its longest wait. All in ms.
+        for (goal, said, actuator, period, longest) in [
+            (Numbers, 0, true, 0, Some(100)),
+            (Numbers, 0, true, 1, Some(100)),
+            (Numbers, 0, true, 33, Some(100)),
+            (Numbers, 0, true, 50, Some(150)),
+            (Servo, 0, true, 5, Some(15)),
+            (Servo, 0, true, 50, Some(150)),
+            // A machine without real-time threads is late by so much.
+            (Servo, 0, true, 1, Some(10)),
+            (Servo, 0, true, 0, Some(100)),
+            (Numbers, 20, true, 1, Some(20)),
+            (Servo, 20, true, 1, Some(20)),
+            (Servo, 500, false, 1, Some(500)),
+            // A word that sets it in motion is a goal like any other.
+            (State, 0, true, 1, Some(100)),
+            (State, 20, true, 1, Some(20)),
+            (State, 0, false, 1, None),
+            (Numbers, 0, false, 1, None),
+            (Servo, 0, false, 1, None),
+            // A stop is right however late it comes.
+            (Words, 20, true, 1, None),
+            (Words, 0, true, 0, None),
+        ] {
+            let case = format!("{goal:?}, {said} ms said, actuator {actuator}, period {period} ms");
+            let answer = may_wait_ns(goal, said * MS, actuator, period * MS);
+            assert_eq!(answer, longest.map(|ms: u64| ms * MS), "{case}");
+        }
+    }
+}

@@ -1,0 +1,325 @@
+//! How a component stands, and how the world hears of it: state, health, the system interface.
+//!
+//! Invariant: every change of state or health is told once, as news to the managers and as an event to components; GetState
+//! is answered from a published row, so that asking costs a step nothing but a copy.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
+
+use trocar_loader::system;
+use trocar_model::{Health, State};
+use trocar_rt::os;
+
+use super::super::boundary::EntryError;
+use super::super::gate::{pack, unpack};
+use super::super::realtime::Settings;
+use super::super::supervise::Moment;
+use super::super::{News, Report, context};
+use super::Instance;
+
+/// Warnings kept of one component; the oldest gives way.
+const WARNINGS: usize = 16;
+
+/// How a required port came to be without a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Loss {
+    Cut,
+    /// It was said that another one takes its place next.
+    Replaced,
+    /// The process of the other end is gone, or does not answer any more.
+    Peer,
+}
+
+impl Loss {
+    /// How long it may go on without one before it counts as lost, ns. Whoever cuts and connects in two requests has little
+    /// time; where the second half was announced, it may also fail and the former connection be put back before that is a loss.
+    fn spared_ns(self) -> u64 {
+        match self {
+            Loss::Cut => 20_000_000,
+            Loss::Replaced => 1_000_000_000,
+            Loss::Peer => 0,
+        }
+    }
+}
+
+impl Instance {
+    /// Sets state and fault text, tells the world.
+    pub(crate) fn set_state(&self, state: State, fault: &str) {
+        let before = self.shut(state, fault);
+        self.tell_change(before);
+    }
+
+    /// Sets state and fault text without a word; answers how it stood, for [`Instance::tell_change`].
+    pub(crate) fn shut(&self, state: State, fault: &str) -> (State, String) {
+        // State and reason change together: whoever comes second writes both.
+        let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.gate.swap(pack(state), Ordering::SeqCst);
+        self.show_standing();
+        (unpack(before), std::mem::replace(&mut *text, fault.to_owned()))
+    }
+
+    /// Tells the world where state or fault text are others than these.
+    pub(super) fn tell_change(&self, (state, fault): (State, String)) {
+        if self.state() != state {
+            self.tell_standing();
+            return;
+        }
+        self.publish_status();
+        if *self.fault.lock().unwrap_or_else(PoisonError::into_inner) != fault {
+            self.tell_managers();
+        }
+    }
+
+    /// Its device did not come to its safe condition: kept with its state; what moves something, or panicked, is in FAULT.
+    pub(crate) fn not_made_safe(&self, entry: &str, e: &EntryError) {
+        let text = format!("{entry}: {}", e.text);
+        self.say(log::Level::Error, &text);
+        self.message(system::ERROR, &text);
+        self.keep_warning(&text);
+        if self.is_actuator() || e.panicked() {
+            let before = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let both = if before.is_empty() { text } else { format!("{before}; {text}") };
+            self.set_state(State::Fault, &both);
+        } else {
+            self.tell_managers();
+        }
+    }
+
+    /// Sets the state when it is still `from`; tells the world and answers true if it was.
+    pub(crate) fn set_state_from(&self, from: State, state: State, fault: &str) -> bool {
+        let (from, to) = (pack(from), pack(state));
+        let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.gate.compare_exchange(from, to, Ordering::SeqCst, Ordering::Relaxed).is_err() {
+            return false;
+        }
+        fault.clone_into(&mut text);
+        drop(text);
+        self.tell_standing();
+        true
+    }
+
+    /// Tells everyone how it stands now: row, event, news.
+    fn tell_standing(&self) {
+        self.publish_status();
+        let mut row = [0u8; system::MAX_BYTES];
+        self.read_status(&mut row);
+        self.system_event(system::STATE_CHANGED, &row);
+        self.tell_managers();
+    }
+
+    fn tell_managers(&self) {
+        // Nobody listening is fine: the inventory has it.
+        let _ = self.hub.news.send(News::State(self.report(false)));
+    }
+
+    pub(crate) fn report(&self, with_ports: bool) -> Report {
+        // Before the look: whatever changes after it is in a report of a higher number.
+        let number = self.hub.reports.fetch_add(1, Ordering::SeqCst) + 1;
+        // Read before the state: a warning tells of a change, and no report shows it beside the state before.
+        let warnings = self.warnings();
+        Report {
+            id: self.id.clone(),
+            number,
+            state: self.state(),
+            health: self.watch.health(),
+            fault: self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            ports: with_ports.then(|| self.ports()),
+            lost_connections: Vec::new(),
+            warnings,
+        }
+    }
+
+    /// Sets the health and, when it is another than before, tells the world; the watchdog's.
+    pub(crate) fn set_health(&self, health: Health, why: &str) {
+        if self.watch.set_health(health) == health {
+            return;
+        }
+        if health == Health::Ok {
+            self.say(log::Level::Info, why);
+            self.message(system::STATUS, why);
+        } else {
+            self.say(log::Level::Warn, why);
+            self.message(system::WARNING, why);
+        }
+        self.tell_standing();
+    }
+
+    /// Keeps a sentence that is shown with the state from now on; true when it is new.
+    pub(crate) fn keep_warning(&self, text: &str) -> bool {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        if warnings.iter().any(|w| w == text) {
+            return false;
+        }
+        if warnings.len() == WARNINGS {
+            warnings.remove(0);
+        }
+        warnings.push(text.to_owned());
+        true
+    }
+
+    /// Says something about the component everywhere: log, `warning` event, with its state.
+    pub(crate) fn warn(&self, text: &str) {
+        self.say(log::Level::Warn, text);
+        self.message(system::WARNING, text);
+        if self.keep_warning(text) {
+            self.tell_managers();
+        }
+    }
+
+    /// As [`Instance::warn`] for what happens again and again: one sentence about it is kept, the newest.
+    pub(crate) fn warn_about(&self, about: &str, how: &str) {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        warnings.retain(|w| !w.starts_with(about));
+        drop(warnings);
+        self.warn(&format!("{about}{how}"));
+    }
+
+    pub(crate) fn warnings(&self) -> Vec<String> {
+        // Asked each time: threads that help may still be settling.
+        let of_thread = self.thread.get().map_or_else(Vec::new, |settings| settings.warnings());
+        let own = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        of_thread.into_iter().chain(own.iter().cloned()).collect()
+    }
+
+    /// The settings of its thread; once.
+    pub(crate) fn set_thread(&self, settings: Arc<Settings>) {
+        let _ = self.thread.set(settings);
+    }
+
+    /// Forgets the warnings about an instance that is no more.
+    pub(crate) fn clear_warnings(&self) {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Threads that came into being during one of its entries, with their names; `lasts`: and may live until `destroy`.
+    pub(crate) fn note_brood(&self, threads: impl Iterator<Item = (i32, String)>, lasts: bool) {
+        let threads = threads.map(|(tid, name)| (tid, (name, lasts)));
+        self.brood.lock().unwrap_or_else(PoisonError::into_inner).extend(threads);
+    }
+
+    pub(crate) fn brood(&self) -> BTreeMap<i32, String> {
+        let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
+        brood.iter().map(|(tid, (name, _))| (*tid, name.clone())).collect()
+    }
+
+    /// A thread of its own that may live until `destroy`.
+    pub(crate) fn lasts(&self, tid: i32) -> bool {
+        let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
+        brood.get(&tid).is_some_and(|(_, lasts)| *lasts)
+    }
+
+    /// Threads that were there before this cannot be its own. Told once.
+    pub(crate) fn set_made(&self, before: Moment) {
+        self.made.get_or_init(|| before);
+    }
+
+    /// The moment before its code first ran.
+    pub(crate) fn made(&self) -> Option<Moment> {
+        self.made.get().copied()
+    }
+
+    /// A required port has a connection, again or at last.
+    pub(crate) fn connected(&self, port: &str) {
+        self.missing.lock().unwrap_or_else(PoisonError::into_inner).remove(port);
+        self.hub.watch.notify();
+    }
+
+    /// A required port lost its connection.
+    pub(crate) fn disconnected(&self, port: &str, how: Loss) {
+        let lost_ns = os::now_ns().saturating_add(how.spared_ns());
+        let mut ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
+        let missing = ports.entry(port.to_owned()).or_insert(lost_ns);
+        *missing = lost_ns.min(*missing);
+        drop(ports);
+        self.hub.watch.notify();
+    }
+
+    /// Required ports that lost their connection, and from when on each counts as lost, ns.
+    pub(crate) fn missing(&self) -> Vec<(String, u64)> {
+        let ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
+        ports.iter().map(|(port, lost_ns)| (port.clone(), *lost_ns)).collect()
+    }
+
+    /// Emits `status`, `warning` or `error` of the system interface.
+    pub(crate) fn message(&self, event: usize, text: &str) {
+        let mut row = [0u8; system::MESSAGE_BYTES];
+        system::write_message(os::now_ns(), text, &mut row);
+        self.system_event(event, &row);
+    }
+
+    fn system_event(&self, event: usize, row: &[u8]) {
+        let set = self.described.now();
+        let cell = set.system_event(event);
+        // Passive observers handle it on their own threads: this one may be the watchdog's or a manager's.
+        context::deferred(|| cell.emit(&row[..cell.bytes.min(row.len())]));
+    }
+
+    /// Answers a read of the system interface into `out`; returns its stamp.
+    pub(crate) fn system_read(&self, which: usize, out: &mut [u8]) -> u64 {
+        match which {
+            system::PERIOD_STATISTICS => {
+                let s = self.statistics();
+                system::write_statistics(&s, out);
+                s.stamp_ns
+            }
+            system::GET_STATE => self.read_status(out),
+            _ => 0,
+        }
+    }
+
+    /// Publishes how it stands.
+    pub(super) fn publish_status(&self) {
+        let mut row = [0u8; system::MAX_BYTES];
+        let mut writer = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        // Read under the lock: the last one to publish has the newest.
+        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let (state, health) = (self.state().to_string(), self.watch.health().to_string());
+        let stamp_ns = os::now_ns();
+        system::write_status(stamp_ns, &state, &health, &fault, &mut row);
+        writer.publish(stamp_ns, 0, |out| out.copy_from_slice(&row));
+        drop((writer, fault));
+        self.show_standing();
+    }
+
+    /// The newest published status; answers its stamp. Real-time.
+    fn read_status(&self, out: &mut [u8]) -> u64 {
+        let Some(out) = out.get_mut(..system::MAX_BYTES) else { return 0 };
+        if self.status_rows.latest(out).is_none() {
+            return 0;
+        }
+        // It still stands so: every change publishes a row.
+        let stamp_ns = os::now_ns();
+        out[..8].copy_from_slice(&stamp_ns.to_le_bytes());
+        stamp_ns
+    }
+
+    fn statistics(&self) -> system::Statistics {
+        let s = self.stats.snapshot();
+        let seconds = |ns: f64| ns * 1e-9;
+        system::Statistics {
+            stamp_ns: os::now_ns(),
+            period: [
+                seconds(s.period.avg_ns),
+                seconds(s.period.std_ns),
+                seconds(s.period.min_ns as f64),
+                seconds(s.period.max_ns as f64),
+            ],
+            compute: [
+                seconds(s.compute.avg_ns),
+                seconds(s.compute.std_ns),
+                seconds(s.compute.min_ns as f64),
+                seconds(s.compute.max_ns as f64),
+            ],
+            lateness: [
+                seconds(s.lateness_p50_ns as f64),
+                seconds(s.lateness_p99_ns as f64),
+                seconds(s.lateness_max_ns as f64),
+            ],
+            load: s.load,
+            executed: s.executed,
+            skipped: s.skipped,
+            overruns: s.overruns,
+        }
+    }
+}

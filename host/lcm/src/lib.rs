@@ -1,0 +1,53 @@
+//! The Local Component Manager: the only owner of this process's components.
+//!
+//! Invariant: it never runs component code on its own threads and shares no lock with one that does.
+#![deny(unsafe_code)]
+
+#[allow(unsafe_code, reason = "calls into class tables, and the slots that plugins call")]
+mod boundary;
+mod calling;
+mod carriers;
+mod classes;
+mod concern;
+mod connect;
+mod context;
+mod cycle;
+mod dynamic;
+mod executor;
+mod far;
+mod gate;
+mod hub;
+mod inbox;
+mod instance;
+mod lifecycle;
+mod local;
+mod logs;
+mod order;
+mod outside;
+mod pending;
+mod reading;
+mod realtime;
+mod rows;
+mod services;
+mod static_classes;
+mod stopping;
+mod store;
+mod supervise;
+#[cfg(test)]
+mod tests;
+mod thumbnail;
+#[cfg(test)]
+#[path = "../../../tests/src/watchdog.rs"]
+#[allow(unreachable_pub, reason = "it is public where it lies")]
+mod watchdog;
+
+pub use boundary::{LoadedClass, plugin_log};
+pub use classes::Classes;
+pub use concern::Concern;
+pub use local::{LcmConfig, LocalLcm};
+pub use services::{ReplyTo, SERVICE_VERBS, Services};
+pub use static_classes::{LINKED_IN, StaticClasses};
+pub use stopping::{Stopped, stop_active};
+pub use store::{StoreClasses, offered};
+pub use supervise::{ends_by, keep_descriptors, let_go_of_descriptors, own_process};
+pub use trocar_lcm_api::*;

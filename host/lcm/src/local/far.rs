@@ -1,0 +1,103 @@
+//! Connections of which one end is in another process.
+//!
+//! Invariant: the half stands in `Far` as long as the GCM wants the connection; whether it is linked is the two LCMs' own business.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+use trocar_lcm_api::{ClassOf, FarEnd};
+use trocar_links::Card;
+use trocar_model::{Connection, Link, Ports, Refusal, bindings, idle_connection};
+
+use super::super::Report;
+use super::super::boundary::OwnClass;
+use super::super::carriers::OneEnd;
+use super::super::far::{Kin, Role};
+use super::super::instance::Loss;
+use super::LocalLcm;
+
+/// The answer of a link that is not there in time leaves this much for its way back.
+const WAY: Duration = Duration::from_millis(20);
+
+impl LocalLcm {
+    pub(super) fn own_card(&self) -> Option<Card> {
+        self.carriers.halves().next().map(|halves| halves.card().clone())
+    }
+
+    /// Makes the half of a connection that is here, and for a client waits until it is linked.
+    pub(super) async fn link_far(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+        let FarEnd { connection, ports: theirs, class, card } = end;
+        let unreachable = |why: String| Refusal::Unreachable {
+            client: connection.client.clone(),
+            server: connection.server.clone(),
+            why,
+        };
+        let halves = self.carriers.reaching(&connection, &card).map_err(&unreachable)?;
+        let role =
+            if connection.client.component.process == self.hub.process { Role::Client } else { Role::Server };
+        let mine = match role {
+            Role::Client => &connection.client.component,
+            Role::Server => &connection.server.component,
+        };
+        let slot = self.slot(mine)?;
+        let ours = slot.instance.ports();
+        let (client, server) = match role {
+            Role::Client => (&ours, &theirs),
+            Role::Server => (&theirs, &ours),
+        };
+        let required = role == Role::Client && is_required(&connection, client, server)?;
+        let idle = match role {
+            Role::Client => idle_connection(client, &connection.client, server, &connection.server),
+            Role::Server => None,
+        };
+        let (tell, told) = oneshot::channel();
+        let (id, tell) = (connection.id.0, (role == Role::Client).then_some(tell));
+        let (ours, here, kin) = (connection.clone(), slot.here(), self.kin(role, class));
+        halves.add(OneEnd { connection: ours, role, here, required, theirs, card, kin }, tell)?;
+        if role == Role::Client {
+            let until = deadline.checked_sub(WAY).unwrap_or(deadline);
+            let linked = match tokio::time::timeout_at(until.into(), told).await {
+                Ok(Ok(linked)) => linked,
+                Ok(Err(_)) => Err("this process shuts down".into()),
+                Err(_) => Err(halves.why_not(id)),
+            };
+            if let Err(why) = linked {
+                self.unlink_far(id, Loss::Cut).await;
+                return Err(unreachable(why));
+            }
+        }
+        let mut report = slot.instance.report(false);
+        report.warnings.extend(idle);
+        Ok(report)
+    }
+
+    /// How a client finds the class of its server in this process.
+    fn kin(&self, role: Role, of: ClassOf) -> Kin {
+        match (role, self.classes.clone()) {
+            (Role::Client, Some(classes)) => Box::new(move || {
+                let (info, class) = classes.present(&of.name, &of.hash)?;
+                Some(OwnClass { info, class })
+            }),
+            _ => Box::new(|| None),
+        }
+    }
+
+    /// The half of a connection goes; the client's or server's report, `None` when there is none.
+    pub(super) async fn unlink_far(&self, connection: u64, how: Loss) -> Option<Report> {
+        let (tell, told) = oneshot::channel();
+        let has = self.carriers.halves().find(|halves| halves.connections().contains(&connection))?;
+        let instance = has.remove(connection, how, tell)?;
+        // The thread that does it has ended: so have all halves.
+        let _ = told.await;
+        Some(instance.report(false))
+    }
+}
+
+fn is_required(connection: &Connection, client: &Arc<Ports>, server: &Arc<Ports>) -> Result<bool, Refusal> {
+    let ends = (&connection.client, &connection.server);
+    Ok(match bindings(client, ends.0, server, ends.1, &connection.options)? {
+        Link::Stream { input, .. } => !client.inputs[input].optional,
+        Link::Interface { required, .. } => !client.required[required].optional,
+    })
+}

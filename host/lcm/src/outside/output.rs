@@ -1,0 +1,294 @@
+//! An output as all who look from outside see it: one reader, whose samples they share.
+//!
+//! Invariant: a frame is held only while it is copied or scaled, for all who want it; never by a thread that
+//! steps.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde_json::Value;
+use tokio::sync::Semaphore;
+use trocar_lcm_api::Sample;
+use trocar_loader::convert::back;
+use trocar_model::{PortId, PortType, Ports, Refusal, Type};
+use trocar_rt::os;
+use trocar_rt::stream::{Meta, Payload, Queue, StreamReader, stream_link};
+
+use super::super::boundary::{Consumer, OUTSIDE, OutCell, OutLink};
+use super::super::instance::Instance;
+use super::super::local::LocalLcm;
+use super::super::thumbnail;
+use super::shown;
+
+/// Most bytes of a frame that are handed out: a message of the GCM holds some more.
+const MOST_FRAME_BYTES: usize = 24 << 20;
+/// Outputs whose pictures are made at once: a page full of them takes no more of the machine than this.
+static MAKING: Semaphore = Semaphore::const_new(2);
+
+/// A part of a sample that somebody wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Want {
+    Value,
+    /// Also the image in its frame, so many pixels wide.
+    Picture(u32),
+    /// Also all bytes of its frame.
+    Frame,
+}
+
+/// One who looks at an output.
+pub(super) struct Output {
+    shared: Arc<SharedOutput>,
+    want: Want,
+    /// Number of the last sample that was written before it looked on.
+    before_seq: u64,
+    /// Numbers of the last sample it was given, at the reader and at the output; 0 = none yet.
+    look: u64,
+    last_seq: u64,
+}
+
+/// The output, read once for all who look at it. Those who want frames have a reader of their own, which is
+/// looked at by their rates alone.
+pub(super) struct SharedOutput {
+    pub(super) instance: Arc<Instance>,
+    /// Name of the port.
+    name: String,
+    cell: Arc<OutCell>,
+    ty: Type,
+    link: Arc<OutLink>,
+    of_frames: bool,
+    /// Parts of each sample that are wanted, and by how many.
+    wants: Mutex<BTreeMap<Want, usize>>,
+    reader: Arc<tokio::sync::Mutex<Reader>>,
+}
+
+struct Reader {
+    stream: StreamReader,
+    looks: u64,
+    newest: Option<Arc<Shown>>,
+}
+
+/// A sample as it is handed out.
+pub(super) struct Shown {
+    look: u64,
+    pub(super) meta: Meta,
+    pub(super) value: Result<Value, Refusal>,
+    encoded: Vec<u8>,
+    pub(super) frame_bytes: u64,
+    /// There if somebody wanted it.
+    frame: Option<Vec<u8>>,
+    /// JPEGs by their width, where somebody wanted one; empty where the frame is no image.
+    pictures: BTreeMap<u32, Vec<u8>>,
+}
+
+impl Output {
+    pub(super) fn open(lcm: &LocalLcm, port: &PortId, want: Want) -> Result<Output, Refusal> {
+        let instance = lcm.instance(&port.component)?;
+        let cell = cell_of(&instance, port)?;
+        let Some(passing) = cell.passing() else {
+            return Err(Refusal::NotImplemented {
+                what: format!("reading the untyped output {port} while nothing is connected to it"),
+                hint: "connect it to a typed input first: it takes that type".into(),
+            });
+        };
+        let of_frames = want != Want::Value && matches!(passing, PortType::Frame { .. });
+        let key = (instance.number, port.port.to_string(), of_frames);
+        let holds = |shared: &SharedOutput| Arc::ptr_eq(&shared.cell, &cell) && cell.has(&shared.link);
+        let make = || SharedOutput::open(instance.clone(), port, &cell, &passing, of_frames).map(Arc::new);
+        let shared = lcm.outside.outputs.join(key, holds, make)?;
+        *shared.wants().entry(want).or_default() += 1;
+        let before_seq = cell.seq.load(Ordering::Relaxed);
+        Ok(Output { shared, want, before_seq, look: 0, last_seq: 0 })
+    }
+
+    pub(super) fn shared(&self) -> &SharedOutput {
+        &self.shared
+    }
+
+    /// The newest sample it was not given yet, and how many were left out before it. `None` when the process
+    /// ends.
+    pub(super) async fn newest(&mut self) -> Option<Option<(Arc<Shown>, u64)>> {
+        let newest = self.shared.look().await?;
+        let is_new = |shown: &Arc<Shown>| {
+            shown.look > self.look && shown.meta.seq > self.before_seq && shown.has(self.want)
+        };
+        Some(newest.filter(is_new).map(|shown| {
+            let before = std::mem::replace(&mut self.last_seq, shown.meta.seq);
+            self.look = shown.look;
+            // Numbers stand still where a component writes from two threads at once.
+            let skipped = if before == 0 { 0 } else { shown.meta.seq.saturating_sub(before + 1) };
+            (shown, skipped)
+        }))
+    }
+
+    /// The picture that is wanted of a sample; empty where none is, or it is no image.
+    pub(super) fn picture(&self, shown: &Shown) -> Vec<u8> {
+        match self.want {
+            Want::Picture(width) => shown.pictures.get(&width).cloned().unwrap_or_default(),
+            Want::Value | Want::Frame => Vec::new(),
+        }
+    }
+}
+
+impl Drop for Output {
+    fn drop(&mut self) {
+        let mut wants = self.shared.wants();
+        if let Some(n) = wants.get_mut(&self.want) {
+            *n -= 1;
+        }
+        wants.retain(|_, n| *n > 0);
+    }
+}
+
+impl SharedOutput {
+    fn open(
+        instance: Arc<Instance>,
+        port: &PortId,
+        cell: &Arc<OutCell>,
+        passing: &PortType,
+        of_frames: bool,
+    ) -> Result<SharedOutput, Refusal> {
+        let (ty, payload) = match passing {
+            PortType::Frame { header, .. } => (header.clone(), Payload::Frame),
+            PortType::Plain(ty) => (ty.clone(), Payload::Plain { bytes: ty.size() }),
+            PortType::Any => return Err(Refusal::Internal { text: format!("{port} passes no type") }),
+        };
+        let (writer, stream) = stream_link(payload, Queue::Latest);
+        let link = Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true));
+        cell.add(link.clone(), passing, &back::port(passing).into());
+        let reader = Arc::new(tokio::sync::Mutex::new(Reader { stream, looks: 0, newest: None }));
+        let (name, cell) = (port.port.to_string(), cell.clone());
+        Ok(SharedOutput { instance, name, cell, ty, link, of_frames, wants: Mutex::default(), reader })
+    }
+
+    fn wants(&self) -> MutexGuard<'_, BTreeMap<Want, usize>> {
+        self.wants.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The newest sample that anybody has looked at. Pictures are made on a thread for such work: they take
+    /// milliseconds, and other followers share this one. `None` when the process ends.
+    async fn look(self: &Arc<Self>) -> Option<Option<Arc<Shown>>> {
+        let mut reader = self.reader.clone().lock_owned().await;
+        if !reader.stream.latest().is_some_and(|sample| sample.fresh) {
+            return Some(reader.newest.clone());
+        }
+        if !self.of_frames {
+            return Some(reader.take(self));
+        }
+        let _turn = MAKING.acquire().await.ok()?;
+        let shared = self.clone();
+        tokio::task::spawn_blocking(move || reader.take(&shared)).await.ok()
+    }
+}
+
+impl Drop for SharedOutput {
+    fn drop(&mut self) {
+        self.cell.remove(|l| Arc::ptr_eq(l, &self.link));
+        self.instance.reclaim();
+    }
+}
+
+impl Reader {
+    /// Takes the sample that has come, with all that anybody wants of it.
+    fn take(&mut self, shared: &SharedOutput) -> Option<Arc<Shown>> {
+        let wants: Vec<Want> = shared.wants().keys().copied().collect();
+        let sample = self.stream.current()?;
+        self.looks += 1;
+        let value = shown(&shared.instance, "show an output", &shared.ty, sample.data);
+        let mut frame = None;
+        let mut images = Vec::new();
+        for want in wants {
+            match want {
+                Want::Frame if sample.bytes.len() <= MOST_FRAME_BYTES => frame = Some(sample.bytes.to_vec()),
+                Want::Picture(width) => {
+                    let image = value.as_ref().ok().and_then(|v| thumbnail::small(v, sample.bytes, width));
+                    images.push((width, image));
+                }
+                Want::Value | Want::Frame => {}
+            }
+        }
+        let (meta, encoded) = (sample.meta, sample.data.to_vec());
+        let frame_bytes = sample.bytes.len() as u64;
+        self.stream.release();
+        let jpeg = |image: Option<_>| image.as_ref().map(thumbnail::jpeg).unwrap_or_default();
+        let pictures = images.into_iter().map(|(width, image)| (width, jpeg(image))).collect();
+        let look = self.looks;
+        self.newest = Some(Arc::new(Shown { look, meta, value, encoded, frame_bytes, frame, pictures }));
+        self.newest.clone()
+    }
+}
+
+impl Shown {
+    /// False where it was taken before somebody wanted that of it.
+    fn has(&self, want: Want) -> bool {
+        match want {
+            Want::Value => true,
+            Want::Picture(width) => self.pictures.contains_key(&width),
+            Want::Frame => self.frame.is_some() || self.is_too_large(),
+        }
+    }
+
+    fn is_too_large(&self) -> bool {
+        self.frame_bytes > MOST_FRAME_BYTES as u64
+    }
+
+    /// As one who reads it once gets it.
+    ///
+    /// # Errors
+    /// It is no value of its type; its frame is more than can be handed out, and nothing but that was wanted.
+    pub(super) fn sample(&self, of: &SharedOutput) -> Result<Sample, Refusal> {
+        if of.of_frames && self.frame.is_none() && self.is_too_large() {
+            return Err(Refusal::ArgumentInvalid {
+                what: format!("Read {}/{}", of.instance.id, of.name),
+                why: format!(
+                    "its frames have {} bytes, and at most {MOST_FRAME_BYTES} are handed out: follow it with a thumbnail_width",
+                    self.frame_bytes
+                ),
+                field: "frame".into(),
+            });
+        }
+        Ok(Sample {
+            value: self.value.clone()?,
+            encoded: self.encoded.clone(),
+            stamp_ns: self.meta.stamp_ns,
+            age_ns: os::now_ns().saturating_sub(self.meta.stamp_ns),
+            seq: self.meta.seq,
+            frame_bytes: self.frame_bytes,
+            frame: self.frame.clone().unwrap_or_default(),
+        })
+    }
+}
+
+fn cell_of(instance: &Instance, port: &PortId) -> Result<Arc<OutCell>, Refusal> {
+    let set = instance.described.now();
+    let ports = &set.ports;
+    if let Some(index) = ports.outputs.iter().position(|o| o.name == port.port.as_str()) {
+        return Ok(set.slots.output(index).clone());
+    }
+    if let Some(what) = no_output(ports, port.port.as_str()) {
+        let outputs: Vec<&str> = ports.own_outputs().map(|o| o.name.as_str()).collect();
+        let there = if outputs.is_empty() { "none".to_owned() } else { outputs.join(", ") };
+        return Err(Refusal::ArgumentInvalid {
+            what: format!("Read {port}"),
+            why: format!("it is {what}, and only outputs can be read; outputs there: {there}"),
+            field: "path".into(),
+        });
+    }
+    Err(Refusal::InterfaceNotFound {
+        port: port.clone(),
+        known: ports.own_outputs().map(|o| o.name.clone()).collect(),
+    })
+}
+
+/// The kind of the port of that name, if it is one but no output.
+fn no_output(ports: &Ports, name: &str) -> Option<&'static str> {
+    if ports.inputs.iter().any(|p| p.name == name) {
+        Some("an input")
+    } else if ports.required.iter().any(|p| p.name == name) {
+        Some("a required interface")
+    } else if ports.provided.iter().any(|p| p.name == name) {
+        Some("a provided interface")
+    } else {
+        None
+    }
+}

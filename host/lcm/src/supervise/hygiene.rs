@@ -1,0 +1,435 @@
+//! Whether component code left its thread and its process as it found them: signal mask, rounding mode,
+//! working directory, locale, umask, what signals do, standard streams, threads.
+//!
+//! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it
+//! is named, and while an entry looks after its manners itself (`Watch::mind`), what is found belongs to it
+//! and not to the watchdog.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use trocar_model::Health;
+use trocar_rt::os::{self, Household, Hygiene};
+
+use trocar_loader::{self as loader, Moment};
+
+use super::super::instance::Instance;
+use super::descriptors;
+use super::roster::Ward;
+use super::strangers::{self, Strangers};
+use super::watch::{Entry, Misdeed};
+
+/// Time between two looks at the signal mask of a thread, and at what is the process's, ns.
+const ROUND_NS: u64 = 1_000_000_000;
+
+/// How long those are looked at one by one of whom one may have done something, ns.
+const SUSPECTED_NS: u64 = 10_000_000_000;
+
+/// Where this process belongs: its working directory when components were first looked after. The lock guards
+/// the word only.
+static HOME: Mutex<Option<PathBuf>> = Mutex::new(None);
+
+/// Where the process is, and where it belongs; `None` where that cannot be told.
+fn whereabouts() -> Option<(PathBuf, PathBuf)> {
+    let now = std::env::current_dir().ok()?;
+    let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
+    let home = home.get_or_insert_with(|| now.clone()).clone();
+    Some((now, home))
+}
+
+/// Takes where the process is now for where it belongs, before anybody's code has run.
+pub(super) fn settle() {
+    let _ = whereabouts();
+}
+
+/// This process is a host and nothing else: from now on its locale, umask, signal handlers and standard
+/// streams are looked after. A program that embeds a host changes them as it likes.
+pub fn own_process() {
+    os::keep_streams();
+    household().get_or_insert_with(Household::look);
+}
+
+pub(super) fn is_own_process() -> bool {
+    household().is_some()
+}
+
+/// Entries of components, so that one that was alone can be told from those beside others.
+struct Visits {
+    inside: AtomicUsize,
+    begun: AtomicU64,
+}
+
+static VISITS: Visits = Visits::new();
+
+impl Visits {
+    const fn new() -> Visits {
+        Visits { inside: AtomicUsize::new(0), begun: AtomicU64::new(0) }
+    }
+
+    /// An entry begins; its number if it is alone.
+    fn begin(&self) -> Option<u64> {
+        let alone = self.inside.fetch_add(1, Ordering::AcqRel) == 0;
+        let number = self.begun.fetch_add(1, Ordering::AcqRel) + 1;
+        alone.then_some(number)
+    }
+
+    /// An entry ends; true when no other was there from its begin on.
+    fn end(&self, alone: Option<u64>) -> bool {
+        self.inside.fetch_sub(1, Ordering::AcqRel);
+        alone == Some(self.begun.load(Ordering::Acquire))
+    }
+}
+
+/// The state of the process when somebody between entries last looked at it.
+fn household() -> MutexGuard<'static, Option<Household>> {
+    static HOUSEHOLD: Mutex<Option<Household>> = Mutex::new(None);
+    HOUSEHOLD.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Brings the process back to where it belongs, or lets it belong where it is; answers what came of it.
+fn go_home(now: PathBuf, home: &PathBuf) -> String {
+    match std::env::set_current_dir(home) {
+        Ok(()) => "which was put back".to_owned(),
+        Err(e) => {
+            *HOME.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
+            format!("which could not be put back to {}: {e}", home.display())
+        }
+    }
+}
+
+/// How a thread and its process stood before an entry.
+pub(crate) struct Manners {
+    thread: Hygiene,
+    /// Where the process was then; elsewhere than at home it was by somebody else's doing.
+    directory: Option<PathBuf>,
+    /// Its number while it is alone, and how the process stood then, where that is looked after.
+    alone: Option<u64>,
+    household: Option<Household>,
+    /// It is alone, and no descriptor of the host had been closed.
+    has_all: bool,
+    loads: Moment,
+    /// None while the component runs: its threads are not to wait for this look.
+    threads: Option<strangers::Moment>,
+}
+
+impl Manners {
+    /// Looks before an entry of the component; not from a step. Until [`Manners::after`], the watchdog leaves
+    /// it alone.
+    pub(crate) fn before(instance: &Instance) -> Manners {
+        instance.watch.mind();
+        let alone = VISITS.begin();
+        let looked_after = alone.is_some() && household().is_some();
+        Manners {
+            alone,
+            has_all: looked_after && descriptors::are_all_there(),
+            household: looked_after.then(Household::look),
+            thread: os::thread_hygiene(),
+            loads: loader::moment(),
+            directory: whereabouts().map(|(now, _)| now),
+            threads: (!instance.is_active()).then(strangers::Moment::now),
+        }
+    }
+
+    /// Looks after it: puts back and says what was changed.
+    pub(crate) fn after(self, instance: &Instance, entry: Entry) {
+        let now = os::thread_hygiene();
+        let lasts = matches!(entry, Entry::Create | Entry::Configure);
+        let entry = entry.name();
+        if now.rounding != self.thread.rounding {
+            os::reset_rounding(self.thread.rounding);
+            instance
+                .warn(&format!("{entry}: it changed the rounding mode of its thread, which was put back"));
+        }
+        if now.sigmask != self.thread.sigmask {
+            os::set_sigmask(self.thread.sigmask);
+            instance.warn(&format!("{entry}: it changed the signal mask of its thread, which was put back"));
+        }
+        // Beside others nobody knows whose doing it was, or what another has put back meanwhile: the watchdog
+        // looks then.
+        let was_alone = VISITS.end(self.alone) && !loader::has_loaded_since(self.loads);
+        if was_alone && self.has_all {
+            descriptors::settle(&instance.hub, &format!("{}: {entry}", instance.id));
+        }
+        if was_alone && let Some(before) = &self.household {
+            let now = Household::look();
+            let changes = before.put_back(&now);
+            if let Some(known) = household().as_mut().filter(|_| !changes.is_empty()) {
+                known.take_over(&now);
+            }
+            for said in changes {
+                instance.warn(&format!("{entry}: it changed {said}"));
+            }
+        }
+        if let Some(before) = self.threads {
+            instance.set_made(before);
+            if !before.is_still_so() {
+                let seen = Strangers::look();
+                instance.note_brood(seen.since(before).map(|t| (t.tid, t.name.clone())), lasts);
+            }
+        }
+        if let Some((now, home)) = whereabouts()
+            && now != home
+            && self.directory.is_some_and(|before| before != now)
+            && !loader::has_loaded_since(self.loads)
+        {
+            let put_back = go_home(now, &home);
+            instance.warn(&format!("{entry}: it changed the working directory of the process, {put_back}"));
+        }
+        instance.watch.mind();
+    }
+}
+
+/// Looks at a component around its step, while it is one of several that may have done something. Then, and
+/// only then, a step costs some system calls.
+pub(crate) struct Suspicion {
+    sigmask: u64,
+    directory: Option<PathBuf>,
+}
+
+impl Suspicion {
+    pub(crate) fn before(instance: &Instance) -> Option<Suspicion> {
+        instance.watch.is_suspected().then(|| Suspicion {
+            sigmask: os::thread_hygiene().sigmask,
+            directory: std::env::current_dir().ok(),
+        })
+    }
+
+    /// Notes what it did. The signal mask is put back here, the directory by the watchdog, which owns its
+    /// place.
+    pub(crate) fn after(self, instance: &Instance) {
+        if os::thread_hygiene().sigmask != self.sigmask {
+            os::set_sigmask(self.sigmask);
+            instance.watch.find_out(Misdeed::Signals);
+        }
+        // Back at home, it was the watchdog that went there meanwhile.
+        if whereabouts().is_some_and(|(now, home)| now != home && self.directory.is_some_and(|b| b != now)) {
+            instance.watch.find_out(Misdeed::Directory);
+        }
+    }
+}
+
+/// What the watchdog knows of the process and its threads from earlier looks.
+#[derive(Default)]
+pub(super) struct Premises {
+    household_ns: u64,
+    /// When that was, counted in loads.
+    loads: Option<Moment>,
+    masks: Round,
+    /// Until when somebody is suspected, ns; 0 = nobody is.
+    suspected_ns: u64,
+}
+
+impl Premises {
+    /// One look. `are_all`, asked after it: no component has come since `wards` were taken. `busy`, asked
+    /// last, are those that were inside since the last look that answered true, the ones with commands first.
+    /// False: somebody is inside who looks for himself, or is not known yet, so nothing is said yet.
+    pub(super) fn look<'a>(
+        &mut self,
+        now_ns: u64,
+        wards: &[&'a Ward],
+        are_all: impl FnOnce() -> bool,
+        busy: impl FnOnce() -> Vec<&'a Ward>,
+    ) -> bool {
+        let directory = look_at_directory(wards, are_all, busy);
+        let mut suspects = directory == Found::Several;
+        for members in self.masks.due(now_ns, wards) {
+            suspects |= mask(&members);
+        }
+        if now_ns.saturating_sub(self.household_ns) >= ROUND_NS {
+            self.household_ns = now_ns;
+            let loads = self.loads.replace(loader::moment());
+            look_at_household(wards, loads);
+        }
+        if suspects {
+            self.suspected_ns = now_ns + SUSPECTED_NS;
+        } else if self.suspected_ns != 0 && now_ns > self.suspected_ns {
+            self.suspected_ns = 0;
+            wards.iter().for_each(|ward| ward.instance.watch.suspect(false));
+        }
+        directory != Found::TooEarly
+    }
+}
+
+/// Threads in turn, so that each is looked at once in [`ROUND_NS`] and no look takes long.
+#[derive(Default)]
+struct Round {
+    last_ns: u64,
+    /// The thread before the next one.
+    last: u64,
+}
+
+impl Round {
+    /// Members of each thread whose turn it is.
+    fn due<'a>(&mut self, now_ns: u64, wards: &[&'a Ward]) -> Vec<Vec<&'a Ward>> {
+        let mut threads: BTreeMap<u64, Vec<&Ward>> = BTreeMap::new();
+        wards.iter().for_each(|ward| threads.entry(ward.executor.id).or_default().push(ward));
+        let all = threads.len() as u64;
+        let share = all * now_ns.saturating_sub(self.last_ns).min(ROUND_NS) / ROUND_NS;
+        if share == 0 {
+            return Vec::new();
+        }
+        self.last_ns = now_ns.min(self.last_ns.max(now_ns.saturating_sub(ROUND_NS)) + share * ROUND_NS / all);
+        let (first, then) = (threads.range(self.last + 1..), threads.range(..=self.last));
+        let due: Vec<_> = first.chain(then).take(share as usize).collect();
+        self.last = due.last().map_or(0, |(id, _)| **id);
+        due.into_iter().map(|(_, members)| members.clone()).collect()
+    }
+}
+
+/// Finds what steps, commands and threads of components have changed for everybody. What an entry that looks
+/// for itself does is left to it; what stays as a load has left it was told by the loader.
+fn look_at_household(wards: &[&Ward], loads: Option<Moment>) {
+    if household().is_none() {
+        return;
+    }
+    let before = minded(wards);
+    let now = Household::look();
+    if matches!(minding(wards, &before), Minding::Looks) {
+        return;
+    }
+    let mut known = household();
+    if let Some(known) = known.as_mut().filter(|_| loads.is_none_or(loader::has_loaded_since)) {
+        known.take_over(&now);
+    }
+    let changes =
+        known.as_ref().filter(|_| !wards.is_empty()).map_or_else(Vec::new, |last| last.put_back(&now));
+    *known = Some(if changes.is_empty() { now } else { Household::look() });
+    drop(known);
+    for said in changes {
+        match wards {
+            [ward] => ward.instance.warn(&format!("it changed {said}")),
+            _ => log::warn!(
+                "code in this process, of one of {} components or beside them, changed {said}",
+                wards.len()
+            ),
+        }
+    }
+}
+
+/// What a look came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Found {
+    /// All is as it was, or there was no doubt whose doing it is.
+    Settled,
+    /// Several may have done it, and were told.
+    Several,
+    /// Somebody looks for himself, or has come since; asked again when he is done, or known.
+    TooEarly,
+}
+
+fn look_at_directory<'a>(
+    wards: &[&'a Ward],
+    are_all: impl FnOnce() -> bool,
+    busy: impl FnOnce() -> Vec<&'a Ward>,
+) -> Found {
+    let before = minded(wards);
+    let moment = loader::moment();
+    let Some((now, home)) = whereabouts().filter(|(now, home)| now != home) else { return Found::Settled };
+    if loader::has_loaded_since(moment) || !are_all() {
+        return Found::TooEarly;
+    }
+    let hang = match minding(wards, &before) {
+        Minding::Nobody => None,
+        Minding::Looks => return Found::TooEarly,
+        Minding::Hang(stuck) => Some(stuck),
+    };
+    let put_back = go_home(now, &home);
+    let what = format!("the working directory of the process was changed, {put_back}");
+    if accuse(&hang.unwrap_or_else(busy), &what, Misdeed::Directory) {
+        Found::Several
+    } else {
+        Found::Settled
+    }
+}
+
+/// Who looks after his manners himself.
+pub(super) enum Minding<'a> {
+    Nobody,
+    /// At least one who will come to it.
+    Looks,
+    /// These, and all of them do not come back.
+    Hang(Vec<&'a Ward>),
+}
+
+/// The words of these now, for [`minding`].
+pub(super) fn minded(wards: &[&Ward]) -> Vec<u64> {
+    wards.iter().map(|w| w.instance.watch.minded()).collect()
+}
+
+/// Who does, or did since the words in `before` were taken.
+pub(super) fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
+    let now = minded(wards);
+    let inside: Vec<&Ward> =
+        wards.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
+    if now != before || inside.iter().any(|w| w.instance.watch.health() != Health::Unresponsive) {
+        Minding::Looks
+    } else if inside.is_empty() {
+        Minding::Nobody
+    } else {
+        Minding::Hang(inside)
+    }
+}
+
+/// Says to those it may have been what was done; alone under suspicion, it was that one. True when there are
+/// several: should it happen again, they are looked at one by one. Who is looked at already would have been
+/// found out, so it was another.
+fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
+    if suspects.is_empty() {
+        log::warn!("{what}, by no component that was seen running");
+        return false;
+    }
+    // All are asked, so that nothing found now is taken for something found later.
+    let (found, free): (Vec<&Ward>, Vec<&Ward>) =
+        suspects.iter().partition(|w| w.instance.watch.takes_found_out(misdeed));
+    let (known, others): (Vec<&Ward>, Vec<&Ward>) =
+        free.iter().partition(|w| w.instance.watch.is_suspected());
+    match others.as_slice() {
+        [] => return true,
+        [ward] if found.is_empty() => ward.instance.warn(what),
+        // What was found at one may have been done beside it by another who is not looked at yet.
+        _ => {
+            let names: Vec<String> = found.iter().chain(&others).map(|w| w.instance.id.to_string()).collect();
+            others.iter().for_each(|w| w.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
+            others.iter().for_each(|w| w.instance.watch.suspect(true));
+            return true;
+        }
+    }
+    !known.is_empty()
+}
+
+/// Looks at the signal mask of the thread of these, as the kernel shows it; true when several are suspected.
+fn mask(members: &[&Ward]) -> bool {
+    let Some(executor) = members.first().map(|ward| &ward.executor) else { return false };
+    let before = minded(members);
+    let (Some(now), Some(own)) = (blocked(executor.tid()), executor.settings.hygiene()) else { return false };
+    if now == own.sigmask {
+        return false;
+    }
+    let suspects = match minding(members, &before) {
+        Minding::Nobody => members.to_vec(),
+        Minding::Looks => return false,
+        Minding::Hang(stuck) => stuck,
+    };
+    if executor.settings.mask_due.swap(true, Ordering::AcqRel) {
+        // Asked for already: it hangs, and would only find more of the same when it comes back.
+        return false;
+    }
+    let settings = executor.clone();
+    executor.submit(move |_| {
+        os::set_sigmask(own.sigmask);
+        settings.settings.mask_due.store(false, Ordering::Release);
+    });
+    accuse(&suspects, "the signal mask of its thread was changed, which was put back", Misdeed::Signals)
+}
+
+/// Signals a thread of this process blocks, bit 0 = signal 1.
+fn blocked(tid: i32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/self/task/{tid}/status")).ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("SigBlk:"))?;
+    u64::from_str_radix(line.trim(), 16).ok()
+}

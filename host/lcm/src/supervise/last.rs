@@ -1,0 +1,165 @@
+//! The end of a process that cannot go on: what its runtimes wait at was closed, or a thread of the host
+//! broke down.
+//!
+//! Invariant: devices come first, and nothing on the way to them wakes a runtime or logs: a runtime whose
+//! descriptors are gone panics in whoever wakes it. Such a panic goes no further than its beginning
+//! ([`caught`]), since what is dropped on the way out wakes more, and a second panic would end the process
+//! with its devices driven.
+
+use std::panic;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use trocar_model::State;
+use trocar_rt::house;
+
+use super::super::concern::Concern;
+use super::super::context;
+use super::super::hub::Hub;
+use super::super::instance::Instance;
+use super::descriptors;
+use super::roster::{Roster, Ward};
+use super::watch::Entry;
+
+/// Time that devices may take to come to their safe condition.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Pause between two looks at them.
+const LOOK: Duration = Duration::from_millis(1);
+/// Name of the thread that makes them safe.
+const NAME: &str = "trocar-last";
+
+/// Says why, and ends the process.
+pub(crate) type End = fn(&str);
+
+static END: OnceLock<End> = OnceLock::new();
+/// The components of this process.
+static ROSTER: Mutex<Option<Arc<Roster>>> = Mutex::new(None);
+static BEGUN: AtomicBool = AtomicBool::new(false);
+
+/// This process is a host and nothing else, and ends so when it cannot go on. A program that embeds a host
+/// goes on.
+pub fn ends_by(end: End) {
+    // There is one program in a process, which says it once.
+    if END.set(end).is_err() {
+        return;
+    }
+    let usual = panic::take_hook();
+    panic::set_hook(Box::new(move |panic| {
+        if !descriptors::are_vital_there() {
+            caught();
+        }
+        usual(panic);
+    }));
+}
+
+/// These are the components of the process.
+pub(super) fn keep(roster: &Arc<Roster>) {
+    *own_roster() = Some(roster.clone());
+}
+
+fn own_roster() -> MutexGuard<'static, Option<Arc<Roster>>> {
+    ROSTER.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn wards() -> Vec<Ward> {
+    own_roster().as_ref().map(|roster| roster.all()).unwrap_or_default()
+}
+
+/// Makes everything safe that moves something, and ends the process. A program that embeds a host goes on,
+/// unfit.
+pub(crate) fn cannot_go_on(hub: &Hub, why: String) {
+    if END.get().is_some() {
+        begin(why);
+    } else {
+        log::error!("{why}");
+        hub.warn(Concern::Broken, Some(why));
+    }
+}
+
+/// A thread panics without what runtimes wait at: it goes no further. One that runs components makes them
+/// safe before, but the one that it is inside of.
+fn caught() -> ! {
+    let here = thread::current();
+    if here.name() == Some(NAME) {
+        // It does nothing that could panic; if it does, this is all that is left to do.
+        end("its devices could not be made safe");
+    }
+    let wards = wards();
+    for ward in wards.iter().filter(|ward| ward.executor.id == context::executor()) {
+        let instance = &ward.instance;
+        cease(instance, "");
+        instance.make_safe_silently();
+        if !instance.info.safe_from_any_thread {
+            // Should this thread be inside of it, nobody comes to it any more.
+            instance.watch.takes_owed_safe();
+        }
+    }
+    let all: Vec<&Ward> = wards.iter().collect();
+    begin(descriptors::what_is_gone(&all).unwrap_or_else(|| "a thread of the host broke down".to_owned()));
+    loop {
+        thread::park();
+    }
+}
+
+/// Has it done by a thread that nobody can hold up; once.
+fn begin(why: String) {
+    if BEGUN.swap(true, Ordering::AcqRel) {
+        return;
+    }
+    let said = why.clone();
+    if house::spawn(thread::Builder::new().name(NAME.into()), move || stand(&said)).is_err() {
+        stand(&why);
+    }
+}
+
+fn stand(why: &str) {
+    let wards = wards();
+    wards.iter().for_each(|ward| cease(&ward.instance, why));
+    // All that are owed it, also those that somebody has begun with.
+    wards.iter().filter(|ward| ward.instance.watch.owes_safe()).for_each(have_it_made_safe);
+    let until = Instant::now() + PATIENCE;
+    while wards.iter().any(|ward| is_underway(&ward.instance)) && Instant::now() < until {
+        thread::sleep(LOOK);
+    }
+    end(why);
+}
+
+fn end(why: &str) -> ! {
+    if let Some(end) = END.get() {
+        end(why);
+    }
+    // It did not end it.
+    std::process::abort();
+}
+
+/// Takes it out of service when it moves something now, or is about to.
+fn cease(instance: &Instance, why: &str) {
+    let begins = || instance.watch.busy().is_some_and(|b| matches!(b.entry, Entry::Start | Entry::Resume));
+    if instance.is_actuator() && (instance.is_active() || begins()) {
+        // Nobody hears how it stood.
+        let _ = instance.shut(State::Fault, why);
+        instance.watch.owe_safe();
+    }
+}
+
+fn have_it_made_safe(ward: &Ward) {
+    let instance = ward.instance.clone();
+    if instance.info.safe_from_any_thread {
+        let instance = instance.clone();
+        let outside = move || {
+            if instance.object.make_safe_from_outside().is_ok() {
+                instance.watch.takes_owed_safe();
+            }
+        };
+        // Without a thread its own one does it.
+        let _ = house::spawn(thread::Builder::new().name("trocar-safe".into()), outside);
+    }
+    ward.executor.submit(move |_| instance.make_safe_silently());
+}
+
+fn is_underway(instance: &Instance) -> bool {
+    let makes_safe = || instance.watch.busy().is_some_and(|busy| busy.entry == Entry::MakeSafe);
+    instance.watch.owes_safe() || makes_safe()
+}

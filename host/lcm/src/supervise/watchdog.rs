@@ -1,0 +1,212 @@
+//! The watchdog: one thread that looks at every component and tells how it is.
+//!
+//! Invariant: it never enters a component and never waits for one; a look costs some loads per component. It looks once in
+//! the shortest period (5 to 10 ms: it comes between the steps of everybody, and patience begins at 50 ms), when somebody inside
+//! comes to the end of what it may take, and when a late cycle wakes it.
+
+use std::cell::OnceCell;
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+
+use trocar_rt::{house, os};
+
+use super::super::context;
+use super::super::hub::Hub;
+use super::charge::Charge;
+use super::descriptors;
+use super::hygiene::{self, Premises};
+use super::last;
+use super::roster::{Roster, Ward};
+use super::strangers::Strangers;
+
+/// Shortest and longest time between two looks, ns; in between it is the shortest period of a running component.
+const LOOK_NS: (u64, u64) = (5_000_000, 10_000_000);
+/// Least time between two looks, however soon somebody comes to the end of what it may take, ns.
+const SOONEST_NS: u64 = 1_000_000;
+/// Least time between two looks per component, so that looking stays cheap with many of them, ns.
+const LOOK_EACH_NS: u64 = 10_000;
+/// Waking up takes up to this long, ns: of the hundreds of looks in one patience it must not add up to a pardon.
+const WAKING_NS: u64 = 250_000;
+
+/// The watchdog of one LCM.
+pub(crate) struct Watchdog {
+    hub: Arc<Hub>,
+    stop: Arc<AtomicBool>,
+    thread: Mutex<Option<thread::JoinHandle<()>>>,
+}
+
+impl Watchdog {
+    /// Starts looking.
+    ///
+    /// # Errors
+    /// The machine gives no more threads.
+    pub(crate) fn start(hub: Arc<Hub>, roster: Arc<Roster>) -> std::io::Result<Watchdog> {
+        hygiene::settle();
+        last::keep(&roster);
+        let stop = Arc::new(AtomicBool::new(false));
+        let (asked, shared) = (stop.clone(), hub.clone());
+        let thread = house::spawn(thread::Builder::new().name("trocar-watchdog".into()), move || {
+            context::deferred(|| keep_looking(&shared, &roster, &asked))
+        })?;
+        Ok(Watchdog { hub, stop, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// Ends it and waits for its end.
+    pub(crate) fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
+        self.hub.watch.notify();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(thread) = thread
+            && thread.join().is_err()
+        {
+            log::error!("the watchdog panicked");
+        }
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        self.hub.watch.notify();
+    }
+}
+
+/// Looks until `stop`, also after a breakdown in a program that goes on then.
+fn keep_looking(hub: &Hub, roster: &Roster, stop: &AtomicBool) {
+    while let Some(panic) = house::breakdown(|| Rounds::default().run(hub, roster, stop)) {
+        last::cannot_go_on(hub, format!("its watchdog broke down: {panic}"));
+        // Should it break down in each look, it does so at its usual pace.
+        hub.watch.wait(Some(os::now_ns() + LOOK_NS.1));
+    }
+}
+
+/// How long the watchdog was itself kept from looking, summed up, ns.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Lateness {
+    pub(super) now_ns: u64,
+    /// At the look before.
+    pub(super) before_ns: u64,
+}
+
+impl Lateness {
+    /// One more look, which was due at `due_ns`.
+    fn look(&mut self, due_ns: u64, now_ns: u64) {
+        self.before_ns = self.now_ns;
+        self.now_ns += now_ns.saturating_sub(due_ns + WAKING_NS);
+    }
+
+    /// How it was when something began that is seen for the first time now. What has kept the watchdog since has kept that, too: it was not
+    /// there at the look before.
+    pub(super) fn at(self, since_ns: u64, now_ns: u64) -> u64 {
+        self.now_ns - (self.now_ns - self.before_ns).min(now_ns.saturating_sub(since_ns))
+    }
+}
+
+/// What the watchdog knows from its earlier looks.
+#[derive(Default)]
+struct Rounds {
+    charges: Vec<Charge>,
+    edition: u64,
+    late: Lateness,
+    priority: u8,
+    premises: Premises,
+    turns: descriptors::Turns,
+}
+
+impl Rounds {
+    fn run(mut self, hub: &Hub, roster: &Roster, stop: &AtomicBool) {
+        let mut next_ns = os::now_ns();
+        loop {
+            hub.watch.wait(Some(next_ns));
+            if stop.load(Ordering::Acquire) {
+                return;
+            }
+            let now_ns = os::now_ns();
+            self.late.look(next_ns, now_ns);
+            if let Some(wards) = roster.news(&mut self.edition) {
+                self.take(wards);
+            }
+            self.look(now_ns);
+            self.look_around(hub, now_ns, roster);
+            next_ns = self.next_ns(os::now_ns());
+        }
+    }
+
+    /// The components: who is stuck, whose thread is held by that one, how the others are.
+    fn look(&mut self, now_ns: u64) {
+        let late = self.late;
+        let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
+        let holders: Vec<usize> = (0..stuck.len()).filter(|at| stuck[*at].is_some()).collect();
+        for (at, why) in stuck.into_iter().enumerate() {
+            let why = why.or_else(|| {
+                let held = holders.iter().filter_map(|by| self.charges[*by].holds(&self.charges[at]));
+                // Where one is inside another, the innermost came in last.
+                held.max_by_key(|(since_ns, _)| *since_ns).map(|(_, why)| why)
+            });
+            self.charges[at].look(now_ns, why);
+        }
+    }
+
+    /// The process and its threads: what components should have left as it was.
+    fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
+        let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
+        descriptors::look(hub, &wards, &mut self.turns);
+        let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
+        let busy = || -> Vec<&Ward> {
+            let those = |is: fn(&Charge) -> bool| self.charges.iter().filter(move |c| is(c)).map(|c| &c.ward);
+            let commanded: Vec<&Ward> = those(Charge::commanded).collect();
+            if commanded.is_empty() { those(Charge::entered).collect() } else { commanded }
+        };
+        let settled = self.premises.look(now_ns, &wards, || roster.has_only(&wards), busy);
+        // One look serves all that have come to rest, and none costs nothing.
+        let strangers = OnceCell::new();
+        for (charge, counts) in self.charges.iter_mut().zip(counts) {
+            charge.look_behind(now_ns, || strangers.get_or_init(Strangers::look));
+            // Those that may have done what is not settled yet stay known.
+            if settled {
+                charge.note(counts);
+            }
+        }
+    }
+
+    /// Another list of components; what is known of those that stay is kept.
+    fn take(&mut self, wards: Vec<Ward>) {
+        let before = std::mem::take(&mut self.charges).into_iter();
+        let mut before: HashMap<u32, Charge> = before.map(|c| (c.ward.instance.number, c)).collect();
+        self.charges = wards
+            .into_iter()
+            .map(|ward| match before.remove(&ward.instance.number) {
+                Some(charge) => charge.on(ward),
+                None => Charge::new(ward),
+            })
+            .collect();
+        self.rise();
+    }
+
+    /// Goes above the highest real-time priority of a component, where the machine allows it.
+    fn rise(&mut self) {
+        let highest = self.charges.iter().map(|c| c.ward.executor.settings.priority()).max().unwrap_or(0);
+        if highest == 0 || highest < self.priority {
+            return;
+        }
+        self.priority = highest.saturating_add(1).min(99);
+        if let Err(e) = os::set_fifo(self.priority) {
+            log::warn!("the watchdog runs below the components it watches: {e}");
+        }
+    }
+
+    /// When to look again, ns.
+    fn next_ns(&self, now_ns: u64) -> u64 {
+        let running = self.charges.iter().map(|c| &c.ward.instance).filter(|i| i.is_active());
+        let shortest = running.map(|i| i.pace_ns()).min().unwrap_or(LOOK_NS.1);
+        let crowd_ns = self.charges.len() as u64 * LOOK_EACH_NS;
+        let pause_ns = shortest.clamp(LOOK_NS.0, LOOK_NS.1).max(crowd_ns);
+        let ends = self.charges.iter().filter_map(|c| c.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
+        ends.max(now_ns + SOONEST_NS.max(crowd_ns)).min(now_ns + pause_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests;
