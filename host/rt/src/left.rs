@@ -1,23 +1,23 @@
 //! Values a real-time thread lets go of and a manager drops: a list that is pushed to without waiting and taken out whole.
 //!
-//! A value stands in one list at most, and the list owns one count on it. Entries only come singly and go all at once, so no
-//! address that returns can confuse a push.
+//! A value stands in one list at most, once, and the list owns every count that was left: the last count is always dropped
+//! by a manager. Entries only come singly and go all at once, so no address that returns can confuse a push.
 
 use std::ptr::null_mut;
 use std::sync::Arc;
 
-use crate::sync::{AtomicBool, AtomicPtr, Ordering};
+use crate::sync::{AtomicPtr, AtomicU32, Ordering};
 
 /// The place inside a value that the list uses.
 pub struct Left<T> {
-    /// Stands in the list.
-    is_in: AtomicBool,
+    /// Counts that the list owns; with any it stands in the list, or is about to.
+    counts: AtomicU32,
     next: AtomicPtr<T>,
 }
 
 impl<T> Default for Left<T> {
     fn default() -> Self {
-        Self { is_in: AtomicBool::new(false), next: AtomicPtr::new(null_mut()) }
+        Self { counts: AtomicU32::new(0), next: AtomicPtr::new(null_mut()) }
     }
 }
 
@@ -44,14 +44,16 @@ impl<T: Leave> Default for LeftList<T> {
 impl<T: Leave> LeftList<T> {
     /// Leaves a value to the managers. Any thread; no allocation, no release of memory, never waits.
     pub fn leave(&self, value: Arc<T>) {
-        if value.left().is_in.swap(true, Ordering::AcqRel) {
-            // The list holds it already, so this is not its end.
+        let value = Arc::into_raw(value).cast_mut();
+        // Release: what was done with it comes before its end, which whoever takes this count over sees to.
+        // SAFETY: the count stays this call's until it is added.
+        if unsafe { &*value }.left().counts.fetch_add(1, Ordering::AcqRel) > 0 {
+            // It stands in the list already; the count goes with that entry.
             return;
         }
-        let value = Arc::into_raw(value).cast_mut();
         let mut first = self.first.load(Ordering::Relaxed);
         loop {
-            // SAFETY: the count just given away keeps it alive until it is in the list.
+            // SAFETY: the count just given away is not dropped before the value has been in the list.
             unsafe { &*value }.left().next.store(first, Ordering::Relaxed);
             match self.first.compare_exchange_weak(first, value, Ordering::Release, Ordering::Relaxed) {
                 Ok(_) => return,
@@ -60,16 +62,27 @@ impl<T: Leave> LeftList<T> {
         }
     }
 
-    /// Gives up the list's counts on all that was left; how many. Managers only.
+    /// Gives up the list's counts on all that was left; how many values. Managers only.
     pub fn drop_all(&self) -> usize {
+        self.drop_each(|_| {})
+    }
+
+    /// As [`LeftList::drop_all`], and shows each value to `see` before.
+    pub fn drop_each(&self, see: impl Fn(&T)) -> usize {
         let mut dropped = 0;
         // Acquire: sees each value, and its place in the list, as whoever left it did.
         let mut at = self.first.swap(null_mut(), Ordering::Acquire);
         while !at.is_null() {
-            // SAFETY: each entry of the list owns the count that `leave` gave it, and the list was taken out whole.
+            // SAFETY: the entry owns a count that `leave` gave it, and the list was taken out whole.
             let value = unsafe { Arc::from_raw(at) };
             at = value.left().next.load(Ordering::Relaxed);
-            value.left().is_in.store(false, Ordering::Release);
+            // Acquire: sees what each that left a count has done. From here on it may enter the list anew.
+            let counts = value.left().counts.swap(0, Ordering::AcqRel);
+            see(&value);
+            for _ in 1..counts {
+                // SAFETY: each of them is a count that `leave` took, and the swap took them out of the value.
+                drop(unsafe { Arc::from_raw(Arc::as_ptr(&value)) });
+            }
             dropped += 1;
         }
         dropped
@@ -84,7 +97,7 @@ impl<T: Leave> Drop for LeftList<T> {
 
 #[cfg(all(test, loom))]
 mod models {
-    use std::sync::atomic::AtomicUsize;
+    use loom::thread::ThreadId;
 
     use super::*;
     use crate::cell::BindingCell;
@@ -93,7 +106,17 @@ mod models {
     struct Link {
         left: Left<Link>,
         content: Plain,
-        drops: Arc<AtomicUsize>,
+        drops: Arc<Drops>,
+    }
+
+    /// Threads that dropped a link, one for each.
+    #[derive(Default)]
+    struct Drops(std::sync::Mutex<Vec<ThreadId>>);
+
+    impl Drops {
+        fn by(&self) -> Vec<ThreadId> {
+            self.0.lock().unwrap().clone()
+        }
     }
 
     // SAFETY: its own place, and one list in each model.
@@ -107,7 +130,7 @@ mod models {
         fn drop(&mut self) {
             // What the reader did with it comes before its end.
             self.content.set(0);
-            self.drops.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            self.drops.0.lock().unwrap().push(loom::thread::current().id());
         }
     }
 
@@ -140,7 +163,7 @@ mod models {
     #[test]
     fn loom_a_link_that_is_replaced_is_dropped_once_and_after_its_reader_left_it() {
         model_within(3, || {
-            let drops = Arc::new(AtomicUsize::new(0));
+            let drops = Arc::new(Drops::default());
             let link = || {
                 let (left, content) = (Left::default(), Plain::new());
                 content.set(1);
@@ -164,17 +187,18 @@ mod models {
             assert_eq!(input.link.reclaim(), 0);
             let kept = usize::from(held.is_some());
             input.left.drop_all();
-            assert_eq!(drops.load(std::sync::atomic::Ordering::Relaxed), 2 - kept);
+            assert_eq!(drops.by().len(), 2 - kept);
             held.into_iter().for_each(|link| input.left.leave(link));
-            assert_eq!((input.left.drop_all(), drops.load(std::sync::atomic::Ordering::Relaxed)), (kept, 2));
+            assert_eq!((input.left.drop_all(), drops.by().len()), (kept, 2));
         });
     }
 
-    /// The same value left twice while the list is dropped: it is in there once at a time, and none of its counts is lost.
+    /// The same value left twice while the list is dropped: it is in there once at a time, none of its counts is lost, and
+    /// whoever leaves it never frees it.
     #[test]
-    fn loom_a_value_that_is_left_again_is_dropped_once() {
+    fn loom_a_value_that_is_left_again_is_dropped_once_and_by_a_manager() {
         model_within(3, || {
-            let drops = Arc::new(AtomicUsize::new(0));
+            let drops = Arc::new(Drops::default());
             let list = Arc::new(LeftList::default());
             let theirs = Arc::clone(&list);
             let link = Link { left: Left::default(), content: Plain::new(), drops: Arc::clone(&drops) };
@@ -183,10 +207,12 @@ mod models {
                 theirs.leave(Arc::clone(&link));
                 theirs.leave(link);
             });
+            let leaver = thread.thread().id();
             list.drop_all();
             thread.join().expect("leaving does not fail");
             assert!(list.drop_all() <= 1, "twice in the list");
-            assert_eq!(drops.load(std::sync::atomic::Ordering::Relaxed), 1);
+            let by = drops.by();
+            assert!(by.len() == 1 && by[0] != leaver, "freed by {by:?}, left by {leaver:?}");
         });
     }
 
@@ -194,7 +220,7 @@ mod models {
     #[test]
     fn loom_all_that_several_threads_leave_is_dropped_once() {
         model_within(3, || {
-            let drops = Arc::new(AtomicUsize::new(0));
+            let drops = Arc::new(Drops::default());
             let list = Arc::new(LeftList::default());
             let threads: Vec<_> = (0..2)
                 .map(|_| {
@@ -209,7 +235,7 @@ mod models {
             let mut dropped = list.drop_all();
             threads.into_iter().for_each(|t| t.join().expect("leaving does not fail"));
             dropped += list.drop_all();
-            assert_eq!((dropped, drops.load(std::sync::atomic::Ordering::Relaxed)), (2, 2));
+            assert_eq!((dropped, drops.by().len()), (2, 2));
         });
     }
 }
