@@ -479,19 +479,19 @@ impl Instance {
         self.described.reclaim() + self.inboxes.reclaim() + self.faces.reclaim()
     }
 
-    /// Ends the plugin's instance. With all it was given, one is left that somebody is still making safe, and
-    /// one of which handles outlive it: they lead to what answers that nobody is connected, instead of to
-    /// memory of others.
-    pub(super) fn destroy(&self, entered: &mut Entered<'_>) {
+    /// Ends the plugin's instance; false when it is left with all it was given: one that somebody still makes
+    /// safe, and one of which handles outlive it, which lead to an answer that nobody is connected.
+    pub(super) fn destroy(&self, entered: &mut Entered<'_>) -> bool {
         let destroyed = self.as_running(Entry::Destroy, || entered.destroy());
         let why = match destroyed {
             false => "another thread is still making it safe",
             true if self.host.is_held() => HELD,
-            true => return,
+            true => return true,
         };
         if let Some(me) = self.me() {
             self.hub.bury(me, why);
         }
+        false
     }
 
     /// Its code holds ports or host handles that were to go with one of its instances.

@@ -127,12 +127,22 @@ impl<T> BindingCell<T> {
     /// how many replaced values are still entered. Managers only: takes a mutex, allocates, never waits for a
     /// caller.
     pub fn swap(&self, value: Box<T>) -> usize {
-        self.swap_after(value, turn::under_way)
+        self.swap_after(value, |_| {}, turn::under_way)
+    }
+
+    /// As [`BindingCell::swap`], and shows the value that was replaced to `see`, which callers may still be inside of.
+    pub fn swap_seeing(&self, value: Box<T>, see: impl FnOnce(&T)) -> usize {
+        self.swap_after(value, see, turn::under_way)
     }
 
     /// `under_way` finds the turns that may still look at the old value; it is asked after the replacing.
     #[expect(clippy::boxed_local, reason = "a binding is made by the manager, ready to be taken over")]
-    pub(crate) fn swap_after(&self, value: Box<T>, under_way: impl FnOnce() -> Watched) -> usize {
+    pub(crate) fn swap_after(
+        &self,
+        value: Box<T>,
+        see: impl FnOnce(&T),
+        under_way: impl FnOnce() -> Watched,
+    ) -> usize {
         let new = pack(*value);
         let mut retired = self.retired.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let old = self.word.swap(new, Ordering::AcqRel);
@@ -140,6 +150,8 @@ impl<T> BindingCell<T> {
         // SAFETY: the node is freed only by `reclaim`, which cannot run before the mutex is given back.
         unsafe { node.as_ref() }.balance.fetch_add(old & COUNT_MASK, Ordering::AcqRel);
         retired.push(Retired(node, under_way()));
+        // SAFETY: as above.
+        see(&unsafe { node.as_ref() }.value);
         Self::free_left(&mut retired)
     }
 

@@ -262,7 +262,7 @@ mod models {
                     drop(turn);
                 }
             });
-            cell.swap_after(tracked(2), || mine.under_way());
+            cell.swap_after(tracked(2), |_| {}, || mine.under_way());
             cell.reclaim();
             reader.join().expect("the reader does not panic");
             assert_eq!(cell.reclaim(), 0);

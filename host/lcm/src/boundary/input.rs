@@ -1,11 +1,12 @@
 //! Inputs: the slots through which samples and frames reach a component.
 //!
 //! Invariant: a sample an input shows stays valid until the next `latest`, `next` or `release` on it, even when the
-//! connection is cut meanwhile (the input keeps the link it shows from alive).
+//! connection is cut meanwhile (the input keeps the link it shows from alive). A link the component has left, or never took up
+//! before it was cut, holds no sample and no frame from then on, whoever still looks at it.
 
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use trocar_model::CopyRun;
@@ -28,10 +29,19 @@ use super::output::OutCell;
 /// Number of the next link of this process; never given twice, as an address would be.
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
-/// The consumer's end of one connection.
+/// Whose a link's reader is, in this order: the manager's that made it, the component's thread's, nobody's.
+mod whose {
+    pub(super) const NOT_TAKEN: u8 = 0;
+    pub(super) const TAKEN: u8 = 1;
+    pub(super) const CLOSED: u8 = 2;
+}
+
+/// The consumer's end of one connection; stands behind its input once.
 pub(crate) struct InLink {
     /// Tells a component by which connection a sample came.
     serial: u64,
+    /// See [`whose`].
+    whose: AtomicU8,
     reader: UnsafeCell<StreamReader>,
     /// Samples that may wait.
     depth: usize,
@@ -91,8 +101,7 @@ struct Adapt {
     room: UnsafeCell<Box<[u64]>>,
 }
 
-// SAFETY: reader and room are used only by the consuming component's thread, one at a time; the rest is lock-free or
-// immutable.
+// SAFETY: reader and room are used only by whom `whose` names, one at a time; the rest is lock-free or immutable.
 unsafe impl Sync for InLink {}
 // SAFETY: as above.
 unsafe impl Send for InLink {}
@@ -114,6 +123,7 @@ impl InLink {
         });
         InLink {
             serial: NEXT.fetch_add(1, Ordering::Relaxed),
+            whose: AtomicU8::new(whose::NOT_TAKEN),
             reader: UnsafeCell::new(reader),
             depth,
             max_age_ns,
@@ -123,6 +133,35 @@ impl InLink {
             adapt,
             left: Left::default(),
         }
+    }
+
+    /// The calling thread, the component's, may use the reader from now on; false when the link was cut before that.
+    fn take(&self) -> bool {
+        self.pass_to(whose::TAKEN) != Err(whose::CLOSED)
+    }
+
+    /// Makes the reader `whose` unless it was taken or closed before; what it was, if so. Any thread.
+    fn pass_to(&self, whose: u8) -> Result<u8, u8> {
+        // Whoever has it now comes after whatever was done with it before, in either way.
+        self.whose.compare_exchange(whose::NOT_TAKEN, whose, Ordering::AcqRel, Ordering::Acquire)
+    }
+
+    /// The link stands behind its input no more: what waits in it goes back now, unless the component has taken it up.
+    fn close_if_not_taken(&self) {
+        if self.pass_to(whose::CLOSED).is_ok() {
+            // SAFETY: nobody has taken the reader, and nobody can any more.
+            unsafe { &mut *self.reader.get() }.close();
+        }
+    }
+
+    /// What waits in the link, and what was shown from it last, goes back now.
+    ///
+    /// # Safety
+    /// The component's thread has taken it and has left it, or has done its last; and nobody else calls this meanwhile.
+    unsafe fn close(&self) {
+        self.whose.store(whose::CLOSED, Ordering::Release);
+        // SAFETY: the caller's promise.
+        unsafe { &mut *self.reader.get() }.close();
     }
 
     /// Nothing younger than `max_age` was written. Any thread.
@@ -196,10 +235,18 @@ impl InCell {
     /// Its component is gone: what it showed goes back.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         let _ = self.gone.set(gone.clone());
-        self.link.swap(Box::new(None));
+        self.let_go();
+    }
+
+    /// What it shows, and what waits there, goes back now. After the component's thread has done its last for it.
+    pub(super) fn let_go(&self) {
+        self.connect(None);
         // SAFETY: the component's thread has done its last for it, and nobody else may look at samples of an
         // input.
-        drop(unsafe { &mut *self.held.get() }.take());
+        if let Some(held) = unsafe { &mut *self.held.get() }.take() {
+            // SAFETY: as above; held, it is in no list.
+            unsafe { held.close() };
+        }
     }
 
     #[cold]
@@ -212,11 +259,14 @@ impl InCell {
 
     /// Puts a link behind the input, or none; managers only.
     pub(crate) fn connect(&self, link: Option<Arc<InLink>>) {
-        self.link.swap(Box::new(link));
+        self.link
+            .swap_seeing(Box::new(link), |before| before.iter().for_each(|link| link.close_if_not_taken()));
     }
 
     pub(super) fn reclaim(&self) -> usize {
-        self.left.drop_all();
+        // SAFETY: the component's thread took it and has left it, behind the input stands another one, and the list shows it
+        // to one manager.
+        self.left.drop_each(|link| unsafe { link.close() });
         self.link.reclaim()
     }
 
@@ -270,7 +320,7 @@ impl InCell {
         let held = unsafe { &mut *self.held.get() };
         let left = self.link.look(|now| match now {
             Some(link) if held.as_ref().is_some_and(|h| Arc::ptr_eq(h, link)) => None,
-            now => std::mem::replace(held, now.clone()),
+            now => std::mem::replace(held, now.as_ref().filter(|link| link.take()).cloned()),
         });
         if let Some(left) = left {
             self.left.leave(left);

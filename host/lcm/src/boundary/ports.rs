@@ -271,6 +271,12 @@ impl Slots {
         Slots { outputs, inputs, functions, events, table, _pointers: pointers }
     }
 
+    /// The samples and frames at its inputs go back, whatever cycle of others still looks there. Component's thread only,
+    /// which does its last for them: there is no instance any more.
+    pub(crate) fn let_go_of_inputs(&self) {
+        self.inputs.iter().for_each(|p| p.cell.let_go());
+    }
+
     /// Number of its ports.
     pub(super) fn count(&self) -> usize {
         self.outputs.len() + self.inputs.len() + self.functions.len() + self.events.len()

@@ -487,8 +487,9 @@ fn end(ward: &Ward, alone: bool) {
         instance.close();
         if outlasts(ward, alone) {
             instance.hub.bury(instance.clone(), STRAYS);
-        } else {
-            instance.destroy(&mut entered);
+        } else if instance.destroy(&mut entered) {
+            // Another's cycle that hangs keeps this one's slots for long; it must not keep frames of others.
+            instance.described.all_slots().iter().for_each(|slots| slots.let_go_of_inputs());
         }
     });
     manners.after(instance, Entry::Destroy);

@@ -11,6 +11,7 @@ use trocar_plugin_api::abi::{EXHAUSTED, Tick};
 
 use super::super::LinkDetail;
 use super::super::boundary::fake::Own;
+use super::leaving::LongCycle;
 use super::*;
 
 /// One output `out`, or input `in`, of frames with a number; the pool of an output is the LCM's own.
@@ -348,6 +349,45 @@ async fn a_filter_of_frames_comes_into_a_running_stream_and_goes_again_and_every
     let jumps = arrived.windows(2).filter(|w| w[1] > w[0] + 1).count();
     assert!(jumps <= 10, "frames are missing elsewhere than at the ten rewirings: {arrived:?}");
     world.all_slots_come_back(&camera, &[(straight.id.0, "screen")]).await;
+    world.end().await;
+}
+
+/// A cycle that hangs keeps what it may look at; frames that wait for readers cut off meanwhile are none of that.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_of_readers_that_are_cut_off_come_back_although_a_cycle_of_another_component_hangs() {
+    let world = World::new("b_hung");
+    let camera = Arc::new(Camera::default());
+    world.create_as("camera", class(frames(false, true), Safety::None), stream(), camera.clone()).await;
+    let screens = ["looks", "stopped", "idle"].map(|name| (name, Arc::new(Screen::default())));
+    let two = Some(Queue::Fifo { depth: 2, drop_oldest: true });
+    let options = ConnectOptions { queue: two, ..ConnectOptions::default() };
+    for (number, (name, screen)) in (1..).zip(&screens) {
+        world.create_as(name, class(frames(true, false), Safety::None), periodic(1000), screen.clone()).await;
+        world.connect(number, &format!("{name}/in"), "camera/out", options.clone()).await;
+    }
+    world.start("looks").await;
+    world.start("stopped").await;
+    world.start("camera").await;
+    for (_, screen) in &screens[..2] {
+        screen.sees_more("frames").await;
+    }
+    world.run("stopped", Verb::Stop).await.unwrap();
+    camera.makes(20).await;
+    world.run("camera", Verb::Stop).await.unwrap();
+
+    let cycle = LongCycle::begin();
+    // The one that looks stays, and lets go by looking.
+    for (number, (name, _)) in (1..).zip(&screens) {
+        world.cut(world.wire(number, &format!("{name}/in"), "camera/out", options.clone()), false).await;
+    }
+    for (name, _) in &screens[1..] {
+        world.destroy(name, frames(true, false)).await;
+    }
+    let instance = world.lcm.instance(&world.id("camera")).unwrap();
+    let set = instance.described.now();
+    let pool = || set.slots.output(0).pool().unwrap();
+    eventually("all slots back", || pool().free == pool().slots).await;
+    cycle.end();
     world.end().await;
 }
 

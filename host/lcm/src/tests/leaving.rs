@@ -1,6 +1,7 @@
 //! Nothing is kept of what is refused or gone: threads end, and what was asked of them is let go of.
 
-use std::sync::mpsc::{TryRecvError, channel};
+use std::sync::mpsc::{Sender, TryRecvError, channel};
+use std::thread::JoinHandle;
 
 use super::branches::frames;
 use super::*;
@@ -60,6 +61,33 @@ async fn work_for_a_thread_that_has_ended_is_let_go_of_at_once() {
     world.end().await;
 }
 
+/// A cycle of another thread, which goes on until it is told to end, or the test has failed.
+pub(super) struct LongCycle {
+    end: Sender<()>,
+    thread: JoinHandle<()>,
+}
+
+impl LongCycle {
+    /// Under way when this returns.
+    pub(super) fn begin() -> Self {
+        let (begun, began) = channel();
+        let (end, ends) = channel::<()>();
+        let thread = std::thread::spawn(move || {
+            trocar_rt::turn::run(|| {
+                begun.send(()).unwrap();
+                let _ = ends.recv();
+            });
+        });
+        began.recv().unwrap();
+        Self { end, thread }
+    }
+
+    pub(super) fn end(self) {
+        drop(self.end);
+        self.thread.join().unwrap();
+    }
+}
+
 /// The remains of a component are kept for long, what others lent or own is not: neither at once nor later.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_frame_memory_of_a_removed_component_is_freed_although_a_cycle_was_under_way() {
@@ -70,20 +98,11 @@ async fn the_frame_memory_of_a_removed_component_is_freed_although_a_cycle_was_u
     let memory: Vec<_> = files.iter().map(Arc::downgrade).collect();
     assert_eq!(memory.len(), 1, "the pool of its output");
     drop(files);
-    let (begun, began) = channel();
-    let (end, ends) = channel::<()>();
-    let cycle = std::thread::spawn(move || {
-        trocar_rt::turn::run(|| {
-            begun.send(()).unwrap();
-            let _ = ends.recv();
-        });
-    });
-    began.recv().unwrap();
+    let cycle = LongCycle::begin();
     world.apply(Change::Destroy { id: world.id("camera"), component: component() }).await.unwrap();
     eventually("the component is dropped", || instance.strong_count() == 0).await;
     assert_eq!(memory[0].strong_count(), 1, "the cycle may still look at it");
-    end.send(()).unwrap();
-    cycle.join().unwrap();
+    cycle.end();
     eventually("its frame memory is freed", || memory[0].strong_count() == 0).await;
     world.end().await;
 }

@@ -95,6 +95,37 @@ impl StreamReader {
         self.holds = false;
     }
 
+    /// Gives back all that is here, the sample last seen as well, and takes nothing more: as dropping it does, for an end that
+    /// may be dropped only later. Again: gives back what the writer put there meanwhile.
+    pub fn close(&mut self) {
+        let again = self.link.reader_left.swap(1, Ordering::AcqRel) != 0;
+        // Frames still here go back to their pool now, not when the writer happens to go. Bounded: once the
+        // writer sees that the reader left, it queues nothing more; and no other process keeps this going.
+        self.release();
+        let skipped = &self.link.counters.reader.0.skipped;
+        if let Some(place) = self.place.filter(|_| std::mem::take(&mut self.awaits)) {
+            skip(&self.arriving, &self.link.slots, place);
+            tally(skipped, 1);
+        }
+        if !again && self.link.here.has_unseen() {
+            tally(skipped, 1);
+        }
+        for _ in 0..=self.link.places() {
+            let unseen = match &self.link.order {
+                Order::Latest(latest) => latest.has_unseen().then(|| {
+                    self.own = latest.exchange(self.own);
+                    self.own
+                }),
+                Order::Fifo(fifo) => fifo.pop(fifo.end()),
+            };
+            let Some(place) = unseen else { break };
+            skip(&self.arriving, &self.link.slots, place);
+            // SAFETY: the place was just taken over by the reader.
+            unsafe { self.link.slots.empty(place) };
+            tally(skipped, 1);
+        }
+    }
+
     /// The frame last seen, to be kept or passed on by cloning.
     pub fn frame(&self) -> Option<&Frame> {
         let place = self.place.filter(|_| self.holds)?;
@@ -289,31 +320,6 @@ fn skip(arriving: &Option<Arriving>, slots: &Slots, place: usize) {
 
 impl Drop for StreamReader {
     fn drop(&mut self) {
-        self.link.reader_left.store(1, Ordering::Release);
-        // Frames still here go back to their pool now, not when the writer happens to go. Bounded: once the
-        // writer sees that the reader left, it queues nothing more; and no other process keeps this going.
-        self.release();
-        let skipped = &self.link.counters.reader.0.skipped;
-        if let Some(place) = self.place.filter(|_| self.awaits) {
-            skip(&self.arriving, &self.link.slots, place);
-            tally(skipped, 1);
-        }
-        if self.link.here.has_unseen() {
-            tally(skipped, 1);
-        }
-        for _ in 0..=self.link.places() {
-            let unseen = match &self.link.order {
-                Order::Latest(latest) => latest.has_unseen().then(|| {
-                    self.own = latest.exchange(self.own);
-                    self.own
-                }),
-                Order::Fifo(fifo) => fifo.pop(fifo.end()),
-            };
-            let Some(place) = unseen else { break };
-            skip(&self.arriving, &self.link.slots, place);
-            // SAFETY: the place was just taken over by the reader.
-            unsafe { self.link.slots.empty(place) };
-            tally(skipped, 1);
-        }
+        self.close();
     }
 }
