@@ -9,7 +9,8 @@ use std::process::Command;
 use serde_json::Value;
 use trocar_tests::repository;
 
-/// What each crate may depend on, apart from plugins and fixtures, which may use the sdk (and plain libraries of ours) only.
+/// What each crate may depend on, apart from plugins and fixtures, which may use the sdk (and plain libraries
+/// of ours) only.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-model", &[]),
     ("trocar-proto", &[]),
@@ -148,6 +149,29 @@ fn the_gcm_names_the_contract_of_the_lcm_and_no_lcm() {
     }
     assert!(looked_at > 20, "{looked_at} files");
     assert!(wrong.is_empty(), "these name an LCM: {wrong:?}");
+}
+
+/// What is built on is a decision with its reasons; what is not built on any more has none.
+#[test]
+fn the_libraries_we_build_on_are_those_of_adr_0003() {
+    let metadata = Metadata::read();
+    let ours: BTreeSet<&str> = metadata.members().map(name).collect();
+    let used: BTreeSet<&str> = metadata
+        .members()
+        .flat_map(|package| list(&package["dependencies"]).map(name))
+        .filter(|name| !ours.contains(name))
+        .collect();
+    let adr = std::fs::read_to_string(repository().join("docs/adr/0003-libraries.md")).unwrap();
+    // Rows `| crate, crate | version | …`; those of a workspace of its own are not in this one's metadata.
+    let rows = adr.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| crate"));
+    let decided: BTreeSet<&str> = rows
+        .filter(|row| !row.contains("a workspace of its own"))
+        .flat_map(|row| row.split('|').nth(1).unwrap_or_default().split(',').map(str::trim))
+        .collect();
+    let missing: Vec<_> = used.difference(&decided).collect();
+    let left: Vec<_> = decided.difference(&used).collect();
+    assert!(missing.is_empty(), "ADR 0003 gives no reason for {missing:?}");
+    assert!(left.is_empty(), "ADR 0003 names {left:?}, on which nothing is built");
 }
 
 /// A dependency with two sets of features is compiled twice, and so is all that depends on it: by

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The README, typed in: each section's commands, in one directory, as somebody would who follows it from its first line on.
+"""The README and the tour, typed in: each section's commands, in one directory, as a newcomer types them from the first line on.
 
     python3 tests/readme/suite.py                  all sections
     python3 tests/readme/suite.py --exact NAME...  only these, named as their lines `test NAME ... ok` name them
@@ -8,7 +8,7 @@ Blocks of `sh` are run whole by bash, and have to succeed; one that ends in `tro
 Ctrl-C with its section. Of blocks of `console` each line behind `$ ` is run, and the lines below it have to be in what it says, at once or
 when it is typed again. What a sentence names in passing (`trocar help`) is not run: its subcommand and its flags have to exist.
 
-Invariant: no command of the README is left out but those of NOT_HERE, each with its reason; what cannot be had is said and counted as skipped.
+Invariant: no command of these pages is left out but those of NOT_HERE, each with its reason; what cannot be had is said and counted as skipped.
 """
 
 import os
@@ -34,16 +34,18 @@ NOT_HERE = {
     "cargo build --release": "the gate has built it so",
     "./tests/run": "this suite is a part of it",
 }
-# Sections of other pages that are typed behind those of the README.
+# Pages that are typed whole, in this order: what a section makes, later ones use.
+PAGES = ["README.md", "docs/TOUR.md"]
+# Sections of other pages that are typed behind those.
 ELSEWHERE = {"docs/RECORDER.md": "As a component"}
 # A prompt of Python is typed by the suite `python`, which reads the same block.
 PROMPT = "In [1]:"
 
 
 def sections(text):
-    """Each heading with its fenced blocks: (heading, [(language, lines)])."""
+    """Each heading of one or two # with its fenced blocks: (heading, [(language, lines)])."""
     found = []
-    for part in re.split(r"^## ", text, flags=re.M)[1:]:
+    for part in re.split(r"^##? ", text, flags=re.M)[1:]:
         heading, _, body = part.partition("\n")
         blocks = [(kind, code.splitlines()) for kind, code in re.findall(r"^```(sh|console)\n(.*?)^```", body, re.M | re.S)]
         if blocks:
@@ -209,7 +211,7 @@ def main():
     words = [word for word in sys.argv[1:] if word != "--exact"]
     means = (lambda word, name: word == name) if exact else (lambda word, name: word in name)
     asked = lambda name: not words or any(means(word, name) for word in words)
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = "\n".join((ROOT / page).read_text(encoding="utf-8") for page in PAGES)
     found = {name_of(heading): (typed, blocks) for heading, blocks in sections(text)}
     for page, heading in ELSEWHERE.items():
         blocks = dict(sections((ROOT / page).read_text(encoding="utf-8")))[heading]
@@ -225,7 +227,6 @@ def main():
         if not shutil.which(tool):
             print(f"{tool} is missing, which gives the README's port to these tests alone")
             sys.exit(77)
-    # The README's own order: what a section makes, later ones use.
     passed, failed = 0, 0
     with tempfile.TemporaryDirectory(prefix="trocar-readme-") as directory:
         terminal = Terminal(pathlib.Path(directory))

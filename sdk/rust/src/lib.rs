@@ -1,7 +1,9 @@
-//! What authors of trocar components use: derives, ports, payloads, and a bench to test a component without a host.
+//! What authors of trocar components use: derives, ports, payloads, and a bench to test a component without a
+//! host.
 //!
-//! Invariant: all `unsafe` that a plugin needs is in this crate; a plugin crate can say `#![forbid(unsafe_code)]`.
-//! The whole way from an idea to a running component is `docs/PLUGIN_GUIDE.md`.
+//! Invariant: all `unsafe` that a plugin needs is in this crate; a plugin crate can say
+//! `#![forbid(unsafe_code)]`. The whole way from an idea to a running component is `docs/PLUGIN_GUIDE.md`;
+//! `docs/PLUGIN_REFERENCE.md` has what a component can have.
 
 // So that the derives' `::trocar_sdk` means this crate here, too.
 extern crate self as trocar_sdk;

@@ -1,9 +1,12 @@
-//! `docs/PLUGIN_GUIDE.md` shows no Rust that is not compiled: each of its blocks stands in a source of this repository.
+//! The plugin guide and its reference show no Rust that is not compiled: each block stands in a source of
+//! this repository.
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
 
-/// Compiled files the guide may quote.
+const PAGES: [&str; 2] = ["docs/PLUGIN_GUIDE.md", "docs/PLUGIN_REFERENCE.md"];
+
+/// Compiled files that the pages may quote.
 const SOURCES: [&str; 9] = [
     "plugins/filters/src/low_pass.rs",
     "plugins/filters/src/low_pass/tests.rs",
@@ -32,16 +35,18 @@ fn blocks<'a>(markdown: &'a str, language: &str) -> Vec<&'a str> {
 }
 
 #[test]
-fn every_rust_block_of_the_guide_is_a_piece_of_a_compiled_file() {
-    let guide = text("docs/PLUGIN_GUIDE.md");
+fn every_rust_block_of_the_pages_is_a_piece_of_a_compiled_file() {
     let sources: Vec<String> = SOURCES.iter().map(|path| text(path)).collect();
-    let found = blocks(&guide, "rust");
-    assert!(!found.is_empty(), "the guide shows no Rust");
-    for block in found {
-        assert!(
-            sources.iter().any(|s| s.contains(block)),
-            "this block of the guide is in none of {SOURCES:?}; copy the present source:\n{block}"
-        );
+    for page in PAGES {
+        let page_text = text(page);
+        let found = blocks(&page_text, "rust");
+        assert!(!found.is_empty(), "{page} shows no Rust");
+        for block in found {
+            assert!(
+                sources.iter().any(|s| s.contains(block)),
+                "this block of {page} is in none of {SOURCES:?}; copy the present source:\n{block}"
+            );
+        }
     }
 }
 

@@ -165,10 +165,9 @@ fn samples_of_any_type_become_lines_of_a_file() {
 }
 
 #[test]
-fn the_script_of_the_guide_runs_as_it_is_written() {
-    let guide = fs::read_to_string(repository().join("docs/PLUGIN_GUIDE.md")).unwrap();
-    let section = guide.split("## A Python script as a source, in ten lines").nth(1).unwrap();
-    let blocks: Vec<&str> = section.split("```").skip(1).step_by(2).collect();
+fn the_script_of_the_page_runs_as_it_is_written() {
+    let page = fs::read_to_string(repository().join("docs/LINES.md")).unwrap();
+    let blocks: Vec<&str> = page.split("```").skip(1).step_by(2).collect();
     let block = |language: &str, at: usize| {
         let all: Vec<&str> = blocks.iter().filter_map(|b| b.strip_prefix(&format!("{language}\n"))).collect();
         all[at].to_owned()

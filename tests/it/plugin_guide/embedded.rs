@@ -1,4 +1,5 @@
-//! The program that `docs/PLUGIN_GUIDE.md` shows whole: a host of its own, with its own classes linked in.
+//! The program that `docs/PLUGIN_REFERENCE.md` shows whole: a host of its own, with its own classes linked
+//! in.
 
 use std::time::Duration;
 

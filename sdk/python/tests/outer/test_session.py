@@ -194,8 +194,8 @@ def without_figures(text):
     return " ".join(re.sub(r"-?\d+(\.\d+)?(e[-+]\d+)?", "0", text).split())
 
 
-def test_the_session_of_the_readme_runs_against_the_demo_it_starts(system, terminal, tmp_path):
-    told = (ROOT / "README.md").read_text().partition("## From Python")[2].partition("```console\n")[2].partition("```")[0]
+def test_the_session_of_the_tour_runs_against_the_demo_it_starts(system, terminal, tmp_path):
+    told = (ROOT / "docs/TOUR.md").read_text().partition("## From Python")[2].partition("```console\n")[2].partition("```")[0]
     assert told.startswith("$ trocar demo "), "it begins with the system that it needs"
     session = written_session(told)
     assert [n for n, *_ in session] == [1, 2, 3, 4], session
