@@ -1,4 +1,4 @@
-//! Calls from outside a component: with aligned copies, and everything that came of them in one value.
+//! Calls from outside a component: with aligned copies, and all results in one value.
 //!
 //! Invariant: the sizes handed over are those of the command that was looked up.
 
@@ -7,7 +7,7 @@ use trocar_plugin_api::abi::{CallOpts, ErrBuf, MODE_CALL, MODE_SEND, Outcome, UN
 use super::call::CommandTarget;
 use super::read::ReadTarget;
 
-/// What a call from outside a component came to.
+/// Result of a call from outside a component.
 pub(crate) struct Answer {
     pub(crate) outcome: Outcome,
     /// Exact bytes of the result.
@@ -62,14 +62,15 @@ fn answer(
 impl CommandTarget {
     /// A call from outside; `arg` has the command's argument type. Blocks until the deadline unless `send`.
     pub(crate) fn answer(&self, arg: &[u8], ret_bytes: usize, send: bool, deadline_ns: u64) -> Answer {
-        // The time a request may wait for its answer says nothing of what is only sent.
+        // The time a request may wait for its answer says nothing about a command that is only sent.
         let (mode, deadline_ns) = if send { (MODE_SEND, 0) } else { (MODE_CALL, deadline_ns) };
         answer(arg, ret_bytes, mode, deadline_ns, |arg, ret, opts| self.call(arg, ret, Some(opts)))
     }
 }
 
 impl ReadTarget {
-    /// A read from outside; `arg` has the command's argument type. Waits for nothing; a class's own code may not come back.
+    /// A read from outside; `arg` has the command's argument type. Waits for nothing; but a class's own code
+    /// may never return.
     pub(crate) fn answer(&self, arg: &[u8], ret_bytes: usize) -> Answer {
         answer(arg, ret_bytes, MODE_CALL, 0, |arg, ret, opts| self.call(arg, ret, Some(opts)))
     }

@@ -1,7 +1,7 @@
 //! Functions of required interfaces: the slot a plugin calls, and the one way a command reaches its server.
 //!
-//! Invariant: exactly one outcome per call. An instance is never entered from a foreign thread (a passive one excepted,
-//! under its lock) and never re-entered; whoever would, is queued or answered WOULD_BLOCK.
+//! Invariant: exactly one outcome per call. An instance is never entered from a foreign thread (a passive one
+//! excepted, under its lock) and never re-entered; such a call is queued or answered WOULD_BLOCK.
 
 use std::ffi::c_void;
 use std::io::Write;
@@ -31,10 +31,10 @@ use super::{misused, text_in, told};
 
 /// Deadline of a blocking call that names none, ns.
 pub(crate) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
-/// Longest deadline of a call, ns, as of a connection: whoever asks for more waits an hour.
+/// Longest deadline of a call, ns, as of a connection: a call that asks for more waits an hour.
 const MAX_DEADLINE_NS: u64 = 3_600_000_000_000;
 
-/// What stands behind one function now. Its tag is a byte of its own: quicker to tell than a niche.
+/// The present target of one function. The tag is a byte of its own: quicker to test than a niche.
 #[repr(u8)]
 pub(crate) enum FnBinding {
     Unbound,
@@ -53,7 +53,7 @@ struct Bound {
     to: FnBinding,
     /// The command's description as manifest JSON; empty while unbound.
     described: String,
-    /// The component whose function it was is gone.
+    /// Set when the component that owned the function is gone.
     gone: Option<Arc<HostContext>>,
 }
 
@@ -63,13 +63,13 @@ impl FnCell {
         FnCell { binding: BindingCell::new(Box::new(bound)) }
     }
 
-    /// Its component is gone.
+    /// Marks the function's component as gone.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         let bound = Bound { to: FnBinding::Unbound, described: String::new(), gone: Some(gone.clone()) };
         self.binding.swap(Box::new(bound));
     }
 
-    /// Swaps what stands behind the function; managers only.
+    /// Swaps the target of the function; managers only.
     pub(crate) fn bind(&self, to: FnBinding, described: String) {
         self.binding.swap(Box::new(Bound { to, described, gone: None }));
     }
@@ -82,8 +82,9 @@ impl FnCell {
         self.binding.reclaim()
     }
 
-    /// Without options. In a turn of this thread the binding costs a plain load; the other way is kept apart here and below,
-    /// so that this one stays small. `extern "C"`, as nothing unwinds out of it: then the slot's function needs no frame.
+    /// Calls without options. In a turn of this thread the binding costs a plain load; the other way is kept
+    /// apart here and below, so that this function stays small. `extern "C"`, as nothing unwinds out of it:
+    /// then the slot's function needs no frame.
     #[inline(never)]
     extern "C" fn send(&self, arg: *const u8, ret: *mut u8) -> Outcome {
         // SAFETY: the turn is further up this very stack, and the answer is not used after this call.
@@ -165,7 +166,7 @@ pub(super) unsafe extern "C" fn call(
     unsafe { cell.call_with(arg.cast(), ret.cast(), opts) }
 }
 
-/// As `call`, with the sizes compared with the command that is behind the function now.
+/// As `call`, but compares the sizes with the command that is behind the function now.
 pub(super) unsafe extern "C" fn call_bytes(
     ctx: *mut c_void,
     arg: Bytes,
@@ -203,7 +204,7 @@ pub(super) unsafe extern "C" fn call_bytes(
     unsafe { options::with(opts, go) }
 }
 
-/// An argument or result the command has, but the caller gave no place for.
+/// Tells whether the command has this argument or result and the caller gave no place for it.
 pub(super) fn lacks(place: *const u8, bytes: usize) -> bool {
     place.is_null() && bytes > 0
 }
@@ -214,12 +215,13 @@ pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> 
     super::tell(sink, &cell.binding.enter().described)
 }
 
-/// How long a call that asks for `asked_ns` may wait: 0 is the deadline of its connection.
+/// Longest wait of a call that asks for `asked_ns`, ns; 0 means the deadline of its connection.
 pub(crate) fn within_ns(asked_ns: u64, connection_ns: u64) -> u64 {
     if asked_ns == 0 { connection_ns } else { asked_ns.min(MAX_DEADLINE_NS) }
 }
 
-/// The outcome a status of `command` or `read` means to the caller, who is told the number where the plugin says no more.
+/// Turns a status of `command` or `read` into the caller's outcome. The caller is told the number where the
+/// plugin gives no sentence.
 pub(crate) fn outcome_of(status: Status, err: *mut ErrBuf) -> Outcome {
     if status == STATUS_OK {
         return EXECUTED;
@@ -236,7 +238,7 @@ fn explain(status: Status, err: *mut ErrBuf) {
     }
     let mut room = [0; 64];
     let mut rest = &mut room[..];
-    // What has no room is left out.
+    // Text without room is left out.
     let _ = write!(rest, "{}", Unexplained(status));
     let said = 64 - rest.len();
     write_err(err, &room[..said]);
@@ -275,7 +277,7 @@ impl CommandTarget {
         }
     }
 
-    /// It is not carried out: its tap is told.
+    /// Tells the command's tap that the call is not carried out.
     #[cold]
     fn turned_away(&self, arg: *const u8, outcome: Outcome) -> Outcome {
         if let Some(command) = self.command.get() {
@@ -288,18 +290,19 @@ impl CommandTarget {
         outcome
     }
 
-    /// The argument is there and may be.
+    /// The argument is there and in range.
     #[inline(always)]
     fn call_allowed(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
         let mode = opts.as_ref().map_or(MODE_SEND, |o| o.mode);
-        // What is only sent needs no place for its result.
+        // A command that is only sent needs no place for its result.
         if mode == MODE_CALL && lacks(ret, self.lane.ret_bytes) {
             return INVALID_ARGUMENT;
         }
         if !self.server.is_active() {
             return self.turned_away(arg, self.server.turned_away());
         }
-        // A component this thread runs, in a cycle, with nobody inside: the common way has no other question.
+        // The common way asks no other question: this thread runs the component, in a cycle, and nobody is
+        // inside.
         match self.server.object.enter_kept() {
             Some(mut entered) => {
                 let err = opts.map_or(std::ptr::null_mut(), |o| o.err);
@@ -333,14 +336,15 @@ impl CommandTarget {
         self.queue(arg, ret, mode, deadline_ns, opts)
     }
 
-    /// Runs it and leaves: pays what is owed, then runs what was queued meanwhile, where nobody else would.
+    /// Runs the command and leaves: makes the server safe if that is owed, then runs the calls queued
+    /// meanwhile, if no other thread would.
     fn run(&self, mut entered: Entered<'_>, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> Outcome {
         let outcome = self.run_inside(&mut entered, arg, ret, err);
         self.server.leave(entered);
         outcome
     }
 
-    /// Inside the server: its description cannot change under the call.
+    /// Runs inside the server: its description cannot change under the call.
     #[inline(always)]
     fn run_inside(
         &self,
@@ -354,7 +358,7 @@ impl CommandTarget {
         self.server.command_inside(entered, command, arg, ret, err)
     }
 
-    /// The server is passive and busy: waits for it, unless this thread is the one inside.
+    /// Waits for the busy server if it is passive, unless this thread is the one inside.
     fn wait_inside(&self, arg: *const u8, ret: *mut u8, err: *mut ErrBuf, deadline_ns: u64) -> Outcome {
         if context::stepping() || !self.server.is_passive() {
             return self.would_block();
@@ -373,7 +377,8 @@ impl CommandTarget {
         }
     }
 
-    /// Why it cannot run any more although it could when the waiting began. Inside the server.
+    /// Reason why the command cannot run any more although it could when the wait began. Called inside the
+    /// server.
     fn lost_while_waiting(&self) -> Option<Outcome> {
         if self.command.get().is_none() {
             Some(DISABLED)
@@ -384,7 +389,7 @@ impl CommandTarget {
         }
     }
 
-    /// Counted at both ends.
+    /// Counts the misuse at both ends.
     #[cold]
     fn would_block(&self) -> Outcome {
         self.server.counters.misuse(Misuse::AskedToWait);
@@ -423,7 +428,7 @@ impl Destination for CommandTarget {
 
     fn signal_now(&self) {
         self.signal();
-        // Its thread runs what is there now, not after this step: the step may be one that tries again.
+        // Its thread runs the queued call now, not after this step: the step may be one that tries again.
         context::flush_wakes();
     }
 
@@ -432,7 +437,7 @@ impl Destination for CommandTarget {
     }
 
     fn closed(&self) -> Outcome {
-        // Closed with what it was described by, or with its connection.
+        // Closed together with its description, or with its connection.
         if self.command.get().is_none() { DISABLED } else { PEER_LOST }
     }
 

@@ -1,6 +1,6 @@
-//! An allocator for tests that counts what single threads allocate while they are watched.
+//! An allocator for tests that counts the allocations of watched threads.
 //!
-//! Invariant: it does what the system's does; counting allocates nothing.
+//! Invariant: it behaves as the system's allocator; counting allocates nothing.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -13,7 +13,7 @@ thread_local! {
 }
 
 fn count() {
-    // A thread on its way out has no counter any more.
+    // A thread that is about to end has no counter any more.
     let _ = COUNT.try_with(|count| {
         if count.get() >= 0 {
             count.set(count.get() + 1);
@@ -44,7 +44,7 @@ pub(crate) fn watch() {
     COUNT.set(0);
 }
 
-/// Ends it; how many there were, releases too.
+/// Ends the count; returns the number of allocations and releases.
 pub(crate) fn watched() -> u64 {
     COUNT.replace(-1).max(0) as u64
 }

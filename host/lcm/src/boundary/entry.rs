@@ -1,7 +1,7 @@
 //! One plugin instance and the calls into its class table.
 //!
-//! Invariant: an instance is entered by one thread at a time and never re-entered: every call goes through [`Entered`],
-//! which exists only while the entry lock is held.
+//! Invariant: an instance is entered by one thread at a time and never re-entered: every call goes through
+//! [`Entered`], which exists only while the entry lock is held.
 
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
@@ -26,7 +26,7 @@ use super::ports::NoRoom;
 pub(crate) struct EntryError {
     pub(crate) status: Status,
     pub(crate) text: String,
-    /// The host could not give what it asked for.
+    /// Set when the host could not provide what the entry asked for.
     pub(crate) no_room: Option<Box<NoRoom>>,
 }
 
@@ -46,7 +46,7 @@ impl EntryError {
         self.status == STATUS_PANICKED
     }
 
-    /// The entry said no to what it was given and goes on as before.
+    /// Tells whether the entry refused its argument and goes on as before.
     pub(crate) fn refused(&self) -> bool {
         self.status == trocar_plugin_api::abi::STATUS_INVALID
     }
@@ -82,7 +82,7 @@ impl fmt::Display for Unexplained {
     }
 }
 
-/// What an entry is answered that nobody is there for.
+/// Answer of an entry that finds no instance.
 const GONE: &str = "there is no instance any more: it was destroyed, and the one after it could not be made";
 
 #[cold]
@@ -95,7 +95,7 @@ const FREE: u32 = 0;
 const HELD: u32 = 1;
 const CONTENDED: u32 = 2;
 
-/// No executor's keeper word, whether somebody is inside or not.
+/// Keeper word of no executor, whether a thread is inside or not.
 const NOBODY: u64 = u64::MAX;
 const INSIDE: u64 = 1;
 
@@ -106,19 +106,21 @@ pub(crate) struct Object<T> {
     lock: AtomicU32,
     /// Thread token of the holder, to tell re-entry from contention.
     holder: AtomicU64,
-    /// Twice the number of the executor that holds the lock for a whole cycle, plus [`INSIDE`] while somebody is inside under
-    /// that lock; or [`NOBODY`]. Written by that executor's thread alone.
+    /// Twice the number of the executor that holds the lock for a whole cycle, plus [`INSIDE`] while a thread
+    /// is inside under that lock; or [`NOBODY`]. Written by that executor's thread alone.
     keeper: AtomicU64,
     /// Null while there is no instance. Used by the holder of the lock, and by visitors.
     this: AtomicPtr<c_void>,
-    /// Threads that are bringing the instance to its safe condition without the lock; it is not destroyed meanwhile.
+    /// Threads that bring the instance to its safe condition without the lock; it is not destroyed meanwhile.
     visitors: AtomicU32,
     /// For the sentence of an entry that fails.
     room: UnsafeCell<[u8; ERR_BYTES]>,
     inner: UnsafeCell<T>,
 }
 
-// SAFETY: `inner` and `room` are reached only through `Entered`, i.e. by the holder of the lock; the table is immutable and lives as long as the library, which is never unloaded while classes of it exist. T moves between holders: T: Send.
+// SAFETY: `inner` and `room` are reached only through `Entered`, i.e. by the holder of the lock; the table is
+// immutable and lives as long as the library, which is never unloaded while classes of it exist. T moves
+// between holders: T: Send.
 unsafe impl<T: Send> Send for Object<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Object<T> {}
@@ -144,7 +146,7 @@ impl<T: Send> Object<T> {
         }
     }
 
-    /// Enters when nobody is inside.
+    /// Enters when no thread is inside.
     #[inline]
     pub(crate) fn try_enter(&self) -> Option<Entered<'_, T>> {
         if self.is_kept_here() {
@@ -155,8 +157,8 @@ impl<T: Send> Object<T> {
         Some(Entered { object: self, kept: false })
     }
 
-    /// Enters under the lock this thread holds for its cycle: a plain word is enough. `None` when somebody is inside,
-    /// and where it holds none.
+    /// Enters under the lock this thread holds for its cycle: a plain word is enough. `None` when a thread is
+    /// inside, and when this thread holds no lock.
     #[inline]
     pub(crate) fn enter_kept(&self) -> Option<Entered<'_, T>> {
         let free = context::executor() * 2;
@@ -167,8 +169,9 @@ impl<T: Send> Object<T> {
         Some(Entered { object: self, kept: true })
     }
 
-    /// Takes the lock for the cycle that begins on this executor, so that entering and leaving within it cost no atomic
-    /// operation; not when somebody is inside. What is kept must be let go by the same thread at the cycle's end.
+    /// Takes the lock for the cycle that begins on this executor, so that entering and leaving within it cost
+    /// no atomic operation; not when a thread is inside. The same thread must let go of the lock at the
+    /// cycle's end.
     pub(crate) fn keep(&self) {
         if self.lock.compare_exchange(FREE, HELD, Ordering::Acquire, Ordering::Relaxed).is_ok() {
             self.holder.store(thread_token(), Ordering::Relaxed);
@@ -176,7 +179,7 @@ impl<T: Send> Object<T> {
         }
     }
 
-    /// Ends what [`Object::keep`] began, where it began.
+    /// Ends [`Object::keep`], on the executor where it began.
     pub(crate) fn let_go(&self) {
         if self.keeper.load(Ordering::Relaxed) == context::executor() * 2 {
             self.keeper.store(NOBODY, Ordering::Relaxed);
@@ -184,14 +187,15 @@ impl<T: Send> Object<T> {
         }
     }
 
-    /// This thread holds the entry lock for its cycle. Only the keeper's own thread ever finds its own number here.
+    /// Tells whether this thread holds the entry lock for its cycle. Only the keeper's own thread ever finds
+    /// its own number here.
     #[inline]
     pub(crate) fn is_kept_here(&self) -> bool {
         self.keeper.load(Ordering::Relaxed) | INSIDE == (context::executor() * 2) | INSIDE
     }
 
-    /// Enters, waiting for whoever is inside until `deadline_ns`. `None` at the deadline, and at once when this very
-    /// thread is inside already. Never from a real-time thread.
+    /// Enters, and waits for the thread inside until `deadline_ns`. `None` at the deadline, and at once when
+    /// this very thread is inside already. Never from a real-time thread.
     pub(crate) fn enter_until(&self, deadline_ns: u64) -> Option<Entered<'_, T>> {
         if let Some(entered) = self.try_enter() {
             return Some(entered);
@@ -211,21 +215,21 @@ impl<T: Send> Object<T> {
         }
     }
 
-    /// Nobody is inside now.
+    /// Tells whether no thread is inside now.
     pub(crate) fn is_free(&self) -> bool {
         self.lock.load(Ordering::Acquire) == FREE
     }
 
-    /// Brings the device to its safe condition while another thread may be stuck inside: only for classes that declare it
-    /// callable from any thread.
+    /// Brings the device to its safe condition while another thread may be stuck inside: only for classes
+    /// that declare this entry callable from any thread.
     pub(crate) fn make_safe_from_outside(&self) -> Result<(), EntryError> {
         let mut room = [0u8; ERR_BYTES];
         let err = ErrBuf { ptr: room.as_mut_ptr(), cap: ERR_BYTES, len: 0 };
         self.visitors.fetch_add(1, Ordering::SeqCst);
         let this = self.this.load(Ordering::SeqCst);
         let done = match entry!(self.table, make_safe) {
-            // SAFETY: a live instance: `destroy` clears `this` before it looks for visitors; the class says that this
-            // entry may be called from any thread at any time.
+            // SAFETY: a live instance: `destroy` clears `this` before it looks for visitors; the class says
+            // that this entry may be called from any thread at any time.
             Some(make_safe) if !this.is_null() => guarded(err, |err| unsafe { make_safe(this, err) }),
             _ => Ok(()),
         };
@@ -250,8 +254,8 @@ impl<T: Send> Object<T> {
         ret: *mut u8,
         err: *mut ErrBuf,
     ) -> Status {
-        // SAFETY: row, arg and ret have the sizes and alignment of the manifest's types, checked when bound; the entry
-        // takes no instance, so no lock is needed.
+        // SAFETY: row, arg and ret have the sizes and alignment of the manifest's types, checked when bound;
+        // the entry takes no instance, so no lock is needed.
         unsafe { (self.hot.read)(row.as_ptr().cast(), id, arg.cast(), ret.cast(), err) }
     }
 }
@@ -259,7 +263,7 @@ impl<T: Send> Object<T> {
 /// The right to call into an instance; dropping it leaves.
 pub(crate) struct Entered<'a, T> {
     object: &'a Object<T>,
-    /// Under the lock its executor keeps for the cycle.
+    /// True when entered under the lock its executor keeps for the cycle.
     kept: bool,
 }
 
@@ -285,7 +289,7 @@ impl<T> Drop for Entered<'_, T> {
 }
 
 impl<T> Entered<'_, T> {
-    /// What belongs to the holder of the lock.
+    /// The data that belong to the holder of the lock.
     pub(crate) fn inner(&mut self) -> &mut T {
         // SAFETY: we hold the lock and `&mut self` keeps this the only reference.
         unsafe { &mut *self.object.inner.get() }
@@ -316,7 +320,8 @@ impl<T> Entered<'_, T> {
         };
         let mut made = ptr::null_mut();
         guarded(self.err_buf(), |err| {
-            // SAFETY: host outlives the instance (both belong to the same `Instance`); name and err live for the call.
+            // SAFETY: host outlives the instance (both belong to the same `Instance`); name and err live for
+            // the call.
             made = unsafe { create(host, bytes(name.as_bytes()), err) };
             if made.is_null() { STATUS_FAILED } else { STATUS_OK }
         })?;
@@ -332,14 +337,14 @@ impl<T> Entered<'_, T> {
             return this.is_null();
         }
         if let (false, Some(destroy)) = (this.is_null(), entry!(self.object.table, destroy)) {
-            // SAFETY: made by `create` of the same table, not destroyed before (the pointer was cleared above), and no
-            // visitor has it.
+            // SAFETY: made by `create` of the same table, not destroyed before (the pointer was cleared
+            // above), and no visitor has it.
             unsafe { destroy(this) };
         }
         true
     }
 
-    /// Leaves the instance to the end of the process: somebody else may still use it.
+    /// Leaves the instance to the end of the process: another thread may still use it.
     pub(crate) fn abandon(&mut self) {
         self.object.this.store(ptr::null_mut(), Ordering::SeqCst);
     }
@@ -379,7 +384,7 @@ impl<T> Entered<'_, T> {
         }
     }
 
-    /// The entry its class leaves null although these ports need it, and what of them does.
+    /// The entry that the class leaves null although these ports need it, and the member that needs it.
     pub(crate) fn lacks(&self, ports: &Described) -> Option<(&'static str, String)> {
         needs::lacking(self.object.table, ports)
     }
@@ -427,7 +432,8 @@ impl<T> Entered<'_, T> {
         if this.is_null() {
             return gone(err);
         }
-        // SAFETY: a live instance; arg and ret have the size and alignment of the manifest's types, checked when bound.
+        // SAFETY: a live instance; arg and ret have the size and alignment of the manifest's types, checked
+        // when bound.
         unsafe { (self.object.hot.command)(this, id, arg.cast(), ret.cast(), err) }
     }
 
@@ -454,7 +460,7 @@ impl<T> Entered<'_, T> {
         unsafe { (self.object.hot.on_event)(this, id, payload.cast(), err) }
     }
 
-    /// What belongs to the holder, and a way to copy the plain state block. Real-time.
+    /// The holder's data, and a way to copy the plain state block. Real-time.
     #[inline]
     pub(crate) fn with_state(&mut self) -> (&mut T, StateBlock) {
         let block = StateBlock { this: self.this(), copy: self.object.hot.state_copy };
@@ -479,11 +485,11 @@ impl StateBlock {
     }
 }
 
-/// What a sink has taken so far.
+/// Text a sink has taken so far.
 struct Pieces {
     bytes: Vec<u8>,
     most: usize,
-    /// More came than may.
+    /// True when more came than is allowed.
     cut: bool,
 }
 

@@ -1,6 +1,6 @@
 //! Event generators: broadcast to any number of handlers, each with its own bounded queue.
 //!
-//! Invariant: emitting never waits; what a full queue could not take is counted at that queue.
+//! Invariant: emitting never waits; an event that a full queue could not take is counted at that queue.
 
 use std::ffi::c_void;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -23,9 +23,9 @@ use super::told;
 pub(crate) enum EventSink {
     /// A handler of a connected component.
     Handler(Handler),
-    /// One of a component of another process.
+    /// A handler of a component of another process.
     Far(FarHandler),
-    /// Somebody outside: the control plane.
+    /// An observer outside: the control plane.
     Tap(Arc<Tap>),
 }
 
@@ -58,20 +58,20 @@ pub(crate) struct Tap {
     pub(crate) mailbox: Mailbox,
 }
 
-/// Who is given an event now.
+/// Present receivers of an event.
 #[derive(Clone, Default)]
 struct Sinks {
     all: Vec<Arc<EventSink>>,
-    /// Told of it as well, which its sender does not notice.
+    /// Is told of the event as well; the sender does not notice.
     tap: Option<EventTap>,
-    /// The component whose event it was is gone.
+    /// Set when the component that owned the event is gone.
     gone: Option<Arc<HostContext>>,
 }
 
 /// Host cell behind an event slot.
 pub(crate) struct EventCell {
     sinks: BindingCell<Sinks>,
-    /// Managers change them one after the other.
+    /// Lets managers change the sinks one after the other.
     editing: Mutex<()>,
     pub(crate) bytes: usize,
 }
@@ -119,12 +119,12 @@ impl EventCell {
         self.change(|sinks| f(&mut sinks.all));
     }
 
-    /// It is told to this tap from now on; managers only.
+    /// Sets the tap that is told of the event from now on; managers only.
     pub(crate) fn set_tap(&self, tap: Option<EventTap>) {
         self.change(|sinks| sinks.tap = tap);
     }
 
-    /// Its component is gone.
+    /// Marks the event's component as gone.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         self.change(|sinks| *sinks = Sinks { gone: Some(gone.clone()), ..Sinks::default() });
     }
@@ -138,7 +138,7 @@ impl EventCell {
 }
 
 impl FarHandler {
-    /// False when its queue is full: counted there, told by its own process.
+    /// False when the queue is full: counted there, told by the observer's own process.
     fn give(&self, payload: &[u8]) -> bool {
         pending::publish();
         let head = EntryHead { kind: ENTRY_EVENT, index: self.index, reply: 0, stamp_ns: 0 };
@@ -149,7 +149,7 @@ impl FarHandler {
 }
 
 impl Handler {
-    /// False when its queue is full: counted there, told by the watchdog.
+    /// False when the queue is full: counted there, told by the watchdog.
     fn give(&self, payload: &[u8]) -> bool {
         if self.direct && self.runs(payload) {
             return true;
@@ -163,7 +163,8 @@ impl Handler {
         !matches!(pushed, Push::Full)
     }
 
-    /// Runs it here and now where that is allowed: on the observer's own executor, nobody inside, nothing queued before.
+    /// Runs the handler here and now where that is allowed: on the observer's own executor, nobody inside,
+    /// nothing queued before.
     #[inline]
     fn runs(&self, payload: &[u8]) -> bool {
         let observer = &*self.observer;
@@ -176,7 +177,8 @@ impl Handler {
             }
             return true;
         }
-        // A manager's thread only tells: what runs on callers' threads runs on its own then.
+        // A manager's thread only queues: a component that runs on callers' threads then runs on its own
+        // thread.
         !context::is_deferred() && observer.runs_here() && self.runs_otherwise(payload)
     }
 
@@ -193,7 +195,7 @@ impl Handler {
 }
 
 impl Sinks {
-    /// The outcome of an event that nobody wants.
+    /// The outcome of an event without receivers.
     fn unbound(&self) -> Outcome {
         if let Some(gone) = &self.gone {
             gone.note_late();
@@ -202,7 +204,7 @@ impl Sinks {
     }
 }
 
-/// Gives an event to everybody who wants it.
+/// Gives an event to every receiver.
 fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
     let mut outcome = EXECUTED;
     let mut told_ns = None;
@@ -219,7 +221,8 @@ fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
                 }
             }
             EventSink::Tap(tap) => {
-                // Only the outside is told when it was, and everybody there the same; components need no clock for it.
+                // Only the outside is told the time, and all taps there the same one; components need no
+                // clock for it.
                 let stamp_ns = *told_ns.get_or_insert_with(os::now_ns);
                 let head = EntryHead { kind: ENTRY_EVENT, index: 0, reply: 0, stamp_ns };
                 let _ = tap.mailbox.push(head, payload, Overflow::DropOldest);

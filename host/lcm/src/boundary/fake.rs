@@ -18,7 +18,7 @@ use trocar_plugin_api::abi::{
 use super::LoadedClass;
 use crate::{Classes, PluginInfo};
 
-/// What a fake component does; everything does nothing unless said.
+/// Actions of a fake component; each does nothing unless overridden.
 pub(crate) trait Behaviour: Send + Sync {
     fn configure(&self, _json: &str) -> Result<(), String> {
         Ok(())
@@ -50,7 +50,7 @@ pub(crate) trait Behaviour: Send + Sync {
     fn destroyed(&self) {}
 }
 
-/// Changes what new files of this process are closed to, as a library does.
+/// Sets the umask of this process, as a library may.
 pub(crate) fn set_umask(mask: u32) {
     // SAFETY: any mask is one.
     unsafe { libc::umask(mask) };
@@ -59,15 +59,15 @@ pub(crate) fn set_umask(mask: u32) {
 /// Bytes of a row of GetState.
 const ROW: usize = trocar_loader::system::MAX_BYTES;
 
-/// What an instance was given by the host.
+/// Pointers an instance got from the host.
 #[derive(Clone, Copy)]
 pub(crate) struct Own {
     host: *const HostTable,
     ports: *const Ports,
 }
 
-// SAFETY: as what code in C keeps in a static: slots and table may be called from any thread, after the
-// instance, too.
+// SAFETY: slots and table may be called from any thread, also after the instance is gone, as by code in C
+// that keeps them in a static.
 unsafe impl Send for Own {}
 
 impl Own {
@@ -108,7 +108,7 @@ impl Own {
         }
     }
 
-    /// Says, as the SDK does, that handles of its are left.
+    /// Says, as the SDK does, that handles of the component are left.
     pub(crate) fn keep(&self) {
         let id = Bytes { ptr: KEEP.as_ptr(), len: KEEP.len() };
         // SAFETY: the host's table lives as long as the instance, and answers with the extension of that
@@ -125,7 +125,7 @@ impl Own {
         unsafe { (*self.ports).output_count > 0 }
     }
 
-    /// Runs eight slices that do nothing on the threads of its stream; how many threads there are.
+    /// Runs eight slices that do nothing on the threads of its stream; returns the number of threads.
     pub(crate) fn slices(&self) -> u32 {
         unsafe extern "C" fn nothing(_: *mut c_void, _: u32) -> Status {
             STATUS_OK
@@ -187,7 +187,7 @@ impl Own {
     }
 }
 
-/// A thread of a device's own as it calls in.
+/// A thread of the device itself as it calls in.
 #[derive(Clone, Copy)]
 pub(crate) struct Device(*const HostTable);
 
@@ -214,7 +214,7 @@ impl Device {
 
 static BEHAVIOURS: Mutex<Option<HashMap<String, Arc<dyn Behaviour>>>> = Mutex::new(None);
 
-/// Says what the component of that path will do once it is created; paths are unique over all tests.
+/// Sets the behaviour of the component of that path, before it is created; paths are unique over all tests.
 pub(crate) fn behave(path: &str, behaviour: Arc<dyn Behaviour>) {
     let mut all = BEHAVIOURS.lock().unwrap_or_else(PoisonError::into_inner);
     all.get_or_insert_default().insert(path.to_owned(), behaviour);
@@ -224,8 +224,8 @@ type Read = Arc<dyn Fn() -> u64 + Send + Sync>;
 
 static READS: Mutex<Option<HashMap<u64, Read>>> = Mutex::new(None);
 
-/// Says what qualified reads with this argument answer, of whichever component: a read has no instance.
-/// Unique over all tests.
+/// Sets the answer of qualified reads with this argument, for any component: a read has no instance. Unique
+/// over all tests.
 pub(crate) fn on_read(arg: u64, answer: impl Fn() -> u64 + Send + Sync + 'static) {
     let mut all = READS.lock().unwrap_or_else(PoisonError::into_inner);
     all.get_or_insert_default().insert(arg, Arc::new(answer));
@@ -390,7 +390,7 @@ static TABLE: Shared = Shared(ClassTable {
     extension: None,
 });
 
-/// A source of the fake class, whatever is asked for.
+/// A source that gives the fake class for every request.
 pub(crate) struct FakeClasses;
 
 impl Classes for FakeClasses {
@@ -408,7 +408,7 @@ impl Classes for FakeClasses {
     }
 }
 
-/// The same, where the code of this class is there for others, too.
+/// The same source, where the code of this class is present for others, too.
 pub(crate) struct KnownClasses(pub(crate) Arc<ClassInfo>);
 
 impl Classes for KnownClasses {

@@ -1,8 +1,8 @@
 //! Functions whose server is in another process: the same outcomes, through memory both share.
 //!
-//! Invariant: nothing the other process writes is used but as bytes of a result, as a state, or as an outcome; a server that is gone
-//! answers PEER_LOST at once, and a read that would have to ask it (`here.rs` answers what can be answered in this process) is
-//! WOULD_BLOCK in a step.
+//! Invariant: data from the other process are used only as bytes of a result, as a state, or as an outcome; a
+//! server that is gone answers PEER_LOST at once, and a read that would have to ask it (`here.rs` answers
+//! what can be answered in this process) is WOULD_BLOCK in a step.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,7 +32,7 @@ use super::range::RangeCheck;
 pub(crate) struct FarServer {
     pub(crate) commands: Mailbox,
     pub(crate) replies: Arc<ReplyPool>,
-    /// How it stands, as its process says.
+    /// State of the server, as its process publishes it.
     pub(crate) standing: Word,
     pub(crate) bell: Arc<Waker>,
     lost: AtomicBool,
@@ -48,7 +48,8 @@ impl FarServer {
         Arc::new(FarServer { commands, replies, standing, bell, lost: AtomicBool::new(false) })
     }
 
-    /// Its process is gone, or the connection: whoever waits for it is answered. Any thread.
+    /// Marks the server's process, or the connection, as gone: callers that wait for it are answered. Any
+    /// thread.
     pub(crate) fn lose(&self) {
         self.lost.store(true, Ordering::SeqCst);
         self.replies.end_all(PEER_LOST);
@@ -88,12 +89,12 @@ impl Destination for FarServer {
     }
 }
 
-/// Why an argument or a place for the result will not do.
+/// Tells whether the argument is missing or out of range.
 fn unfit(arg: *const u8, arg_bytes: usize, range: Option<&RangeCheck>) -> bool {
     lacks(arg, arg_bytes) || range.is_some_and(|range| !range.holds(arg))
 }
 
-/// The component whose step would have had to wait is told so; its server's process is not.
+/// Warns the component whose step would have had to wait; its server's process is not told.
 #[cold]
 fn would_block() -> Outcome {
     misused(Misuse::CalledFromStep);
@@ -127,22 +128,22 @@ impl FarCommand {
     }
 }
 
-/// Where the results of a read come from.
+/// Source of a read's results.
 pub(crate) enum FarSource {
-    /// Tables its server's process writes at every publication.
+    /// Tables that the server's process writes at every publication.
     Table(FarTable),
-    /// The server's rows, by the code of its class; its process has to be asked where that does not go.
+    /// The server's rows, read by the code of its class here; its process is asked where that does not work.
     Here(OwnRead, Arc<dyn Asking>),
-    /// The server's process has to be asked.
+    /// The server's process, which has to be asked.
     Ask(Arc<dyn Asking>),
 }
 
-/// Results of a read without an argument, of which the outcome is the tick.
+/// Results of a read without an argument; the tick of a row is the outcome.
 pub(crate) struct FarTable {
     pub(crate) results: StateReader,
-    /// Sentences of those that failed, of which the length is the tick.
+    /// Sentences of failed reads; the tick of a row is the length.
     pub(crate) whys: StateReader,
-    /// A `ComponentStatus`, which holds until there is another one.
+    /// True for a `ComponentStatus`, which holds until the next one is published.
     pub(crate) status: bool,
 }
 
@@ -154,7 +155,7 @@ impl FarTable {
         if self.status
             && let Some(stamp) = place.first_chunk_mut::<8>()
         {
-            // It still stands so: every change publishes a row.
+            // The status still holds: every change publishes a row.
             let now_ns = os::now_ns();
             *stamp = now_ns.to_le_bytes();
             return (outcome, now_ns);
@@ -197,7 +198,8 @@ impl FarRead {
         if self.server.away() == Some(PEER_LOST) {
             return PEER_LOST;
         }
-        // SAFETY: not null, and with room for the command's result type, checked when bound; nothing of no bytes.
+        // SAFETY: not null, and with room for the command's result type, checked when bound; nothing of no
+        // bytes.
         let place = |bytes| match bytes {
             0 => &mut [][..],
             // SAFETY: as above.
@@ -218,7 +220,7 @@ impl FarRead {
         outcome
     }
 
-    /// Waits for its server's process, where the caller may.
+    /// Waits for the server's process, where the caller may wait.
     #[inline(never)]
     fn ask(
         &self,
@@ -247,7 +249,7 @@ impl FarRead {
     }
 }
 
-/// What a server's process may answer to a read; anything else is a failure of it.
+/// Limits the outcome to those a server's process may answer to a read; any other one counts as a failure.
 fn outcome_in(said: i32) -> Outcome {
     match said {
         EXECUTED | FAILED | INVALID_ARGUMENT | NOT_ACTIVE | DISABLED | PEER_LOST => said,

@@ -1,7 +1,9 @@
-//! Reads of a server in another process that are worked out in this one, because the code of its class is here, too.
+//! Reads of a server in another process that are answered in this process, because the code of its class is
+//! here, too.
 //!
-//! Invariant: a row is copied and made a value of the state's type before the class sees it, whatever bits it had; the number the other
-//! process gives a read is used only where argument and result of that number fit.
+//! Invariant: a row is copied and made a valid value of the state's type before the class sees it, whatever
+//! bits it had; the number the other process gives a read is used only where argument and result of that
+//! number fit.
 
 use std::mem::MaybeUninit;
 use std::sync::Arc;
@@ -20,19 +22,19 @@ use super::class::LoadedClass;
 use super::hot::{Hot, Read};
 use super::read::{bytes_of, with_row};
 
-/// A class this process has, and that another one has, too.
+/// A class that both this process and another one have.
 pub(crate) struct OwnClass {
     pub(crate) info: Arc<ClassInfo>,
     pub(crate) class: LoadedClass,
 }
 
-/// The rows of one server, and what works reads out of them.
+/// The rows of one server, and the code that computes reads from them.
 pub(crate) struct OwnRows {
     read: Read,
     rows: StateReader,
     mend: Mend,
     panics: Arc<Panics>,
-    /// Keeps the code.
+    /// Keeps the code loaded.
     _class: LoadedClass,
 }
 
@@ -48,7 +50,7 @@ impl OwnRows {
     }
 }
 
-/// Reads that panicked here, for the process of their server.
+/// Reads that panicked here, kept for the process of their server.
 #[derive(Default)]
 pub(crate) struct Panics {
     count: AtomicU64,
@@ -62,27 +64,28 @@ impl Panics {
         self.count.fetch_add(1, Ordering::Release);
     }
 
-    /// How many so far, and what the last one said.
+    /// Returns how many reads panicked so far, and the sentence of the last panic.
     pub(crate) fn so_far(&self) -> (u64, String) {
         (self.count.load(Ordering::Acquire), self.last.get())
     }
 }
 
-/// What may be done with a number the server's process gives a read.
+/// Possible use of a number that the server's process gives a read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fit {
-    /// It is another command.
+    /// The number is that of another command.
     No,
-    /// It has this argument and this result, as that process once told: it is given room for any.
+    /// The server's process once said that the number has this argument and this result: the call gets room
+    /// for any.
     Told,
-    /// It has them by the manifest of the class.
+    /// The manifest of the class says that the number has this argument and this result.
     Sure,
 }
 
 /// A read of a server in another process.
 pub(crate) struct OwnRead {
     rows: Arc<OwnRows>,
-    /// Where it stands in the server's description: see [`trocar_rt::segment::Calls`].
+    /// Number of the read in the server's description: see [`trocar_rt::segment::Calls`].
     at: Word,
     fits: Box<[Fit]>,
     name: String,
@@ -120,7 +123,7 @@ fn fits(command: &Command, class: &Ports, told: &Ports) -> Box<[Fit]> {
 }
 
 impl OwnRead {
-    /// `told` are the server's ports as its process has told them.
+    /// `told` are the server's ports as its process has described them.
     pub(crate) fn new(
         rows: &Arc<OwnRows>,
         at: Word,
@@ -138,8 +141,8 @@ impl OwnRead {
         }
     }
 
-    /// Outcome and stamp; `None` where its process has to be asked. Any thread, never waits; `arg` and `ret` are there where the
-    /// command has them.
+    /// Returns outcome and stamp; `None` where the server's process has to be asked. Any thread, never waits;
+    /// `arg` and `ret` are present where the command has them.
     pub(super) fn call(&self, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> Option<(Outcome, u64)> {
         let Some(id) = self.at.get().checked_sub(1) else { return Some((DISABLED, 0)) };
         let fit = usize::try_from(id).ok().and_then(|id| self.fits.get(id)).copied().unwrap_or(Fit::No);
@@ -159,8 +162,9 @@ impl OwnRead {
             let bytes = bytes_of(row, row_bytes);
             let Some(info) = own.rows.latest(bytes) else { return (NOT_ACTIVE, 0) };
             own.mend.mend(bytes);
-            // SAFETY: the row has the size and alignment of the class's state type and is a value of it; arg and ret are what the command
-            // of this number takes and gives, or have room for any; the entry takes no instance.
+            // SAFETY: the row has the size and alignment of the class's state type and is a value of it; arg
+            // and ret are of the types of the command with this number, or have room for any; the entry takes
+            // no instance.
             let status = unsafe { (own.read)(row.as_ptr().cast(), id, arg.cast(), ret.cast(), err) };
             if status == STATUS_PANICKED {
                 own.panics.add(&self.name, err);
@@ -169,21 +173,24 @@ impl OwnRead {
         })
     }
 
-    /// As `answer`, with a copy of the argument and a place for the result in which those of any command have room.
+    /// As `answer`, with a copy of the argument and a place for the result that have room for those of any
+    /// command.
     #[inline(never)]
     fn answer_with_room(&self, id: u32, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> (Outcome, u64) {
         let mut large = [0u64; MAX_PAYLOAD / 8];
         let mut place = MaybeUninit::<[u64; MAX_PAYLOAD / 8]>::uninit();
         let (from, to) = (large.as_mut_ptr().cast::<u8>(), place.as_mut_ptr().cast::<u8>());
         if self.arg_bytes > 0 {
-            // SAFETY: an argument of the command's type, which is no longer than any payload; the copy is this function's own.
+            // SAFETY: an argument of the command's type, which is no longer than any payload; the copy is
+            // this function's own.
             unsafe { std::ptr::copy_nonoverlapping(arg, from, self.arg_bytes) };
         }
-        // SAFETY: as above; what is copied out below has a value, whatever the class writes.
+        // SAFETY: as above; the bytes copied out below have a value, whatever the class writes.
         unsafe { to.write_bytes(0, self.ret_bytes) };
         let answered = self.answer(id, from, to, err);
         if self.ret_bytes > 0 {
-            // SAFETY: the caller's place for the command's result; that many bytes were written above at least.
+            // SAFETY: the caller's place for the command's result; at least that many bytes were written
+            // above.
             unsafe { std::ptr::copy_nonoverlapping(to, ret, self.ret_bytes) };
         }
         answered

@@ -21,7 +21,7 @@ use super::super::logs::{self, LogRing};
 use super::super::services::{Account, Desk};
 use super::parallel;
 
-/// What stands behind `HostTable::ctx` of one instance.
+/// The data behind `HostTable::ctx` of one instance.
 pub(crate) struct HostContext {
     /// The component's number.
     pub(crate) number: u32,
@@ -30,9 +30,9 @@ pub(crate) struct HostContext {
     pub(crate) instance: OnceLock<Weak<Instance>>,
     pub(crate) account: Account,
     desk: Arc<Desk>,
-    /// Its code holds something of what it was given, and for how long nobody knows.
+    /// True when the component's code keeps a handle that the host gave it, for an unknown time.
     held: AtomicBool,
-    /// Uses by its code, after it was gone, of what it had been given.
+    /// Uses of host handles by the component's code after the component was gone.
     late: AtomicU64,
 }
 
@@ -50,18 +50,18 @@ impl HostContext {
         })
     }
 
-    /// Nothing that the instance was given may go before the process ends.
+    /// Tells whether everything the instance was given must stay until the process ends.
     pub(crate) fn is_held(&self) -> bool {
         self.held.load(Ordering::Acquire)
     }
 
-    /// Its component is gone.
+    /// Tells the desk that the component is gone.
     pub(super) fn leave(&self) {
         self.desk.leave(self.number);
     }
 
-    /// Its component is gone, and code of it has used what it was given: counted, and said at the first time,
-    /// the tenth, the hundredth. Any thread; real-time.
+    /// Counts a use of a host handle by code of a component that is gone, and logs the first, the tenth, the
+    /// hundredth. Any thread; real-time.
     #[cold]
     #[inline(never)]
     pub(super) fn note_late(&self) {
@@ -83,7 +83,7 @@ impl HostContext {
         self.logs.push(self.number, log::Level::Warn as u32, logs::HOST.as_bytes(), &said[..len]);
     }
 
-    /// Its instance; `None`, and that is noted, when it is gone.
+    /// The instance; `None`, and that is noted, when it is gone.
     fn instance(&self) -> Option<Arc<Instance>> {
         let instance = self.instance.get().and_then(Weak::upgrade);
         if instance.is_none() {
@@ -92,7 +92,7 @@ impl HostContext {
         instance
     }
 
-    /// The table for this context, which it keeps.
+    /// The table for this context; the table keeps the context.
     pub(crate) fn shared_table(self: &Arc<Self>) -> Arc<SharedTable> {
         let table = HostTable {
             struct_size: size_of::<HostTable>() as u32,
@@ -126,9 +126,9 @@ impl SharedTable {
     }
 }
 
-/// `ctx` is the `HostContext` whose table the function stands in.
+/// Gives the `HostContext` behind `ctx`, whose table the function stands in.
 fn context_of<'a>(ctx: *mut c_void) -> &'a HostContext {
-    // SAFETY: the context lives as long as its table, and that as long as the host takes calls of its
+    // SAFETY: the context lives as long as its table, and the table as long as the host takes calls of its
     // component.
     unsafe { &*ctx.cast::<HostContext>() }
 }
@@ -138,7 +138,7 @@ unsafe extern "C" fn now_ns(_ctx: *mut c_void) -> u64 {
 }
 
 fn text<'a>(bytes: &Bytes) -> &'a [u8] {
-    // Nothing in memory is longer than that, so it is not a length.
+    // No block of memory is longer than that, so it is not a length.
     if bytes.ptr.is_null() || bytes.len > isize::MAX as usize {
         return &[];
     }
@@ -151,8 +151,8 @@ unsafe extern "C" fn log(ctx: *mut c_void, level: u32, target: Bytes, message: B
     host.logs.push(host.number, level, text(&target), text(&message));
 }
 
-/// A line a plugin logs without saying for which instance: goes to the component whose code runs on this thread, else to
-/// the host's own log. Never waits when a component runs.
+/// Logs a line of a plugin that does not say for which instance: to the component whose code runs on this
+/// thread, else to the host's own log. Never waits when a component runs.
 pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
     // SAFETY: null, or the context of the instance that is being called on this very thread.
     match unsafe { context::component().as_ref() } {
@@ -180,7 +180,7 @@ unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
     }
 }
 
-/// The component's ports are to be others: it is described and bound again on its own thread, between two steps.
+/// Asks for other ports: the component is described and bound again on its own thread, between two steps.
 unsafe extern "C" fn ports_changed(ctx: *mut c_void) -> Outcome {
     match context_of(ctx).instance() {
         Some(instance) => {

@@ -1,12 +1,13 @@
-//! The entries of a class table: each looked up by the size the table says it has, those of every cycle once for all.
+//! The entries of a class table: each is looked up by the size the table gives; those of every cycle are
+//! looked up only once.
 //!
-//! Invariant: an entry that a class does not have is answered here, so that calling one needs no check.
+//! Invariant: an entry that a class does not have has a default here, so that calling one needs no check.
 
 use std::ffi::c_void;
 
 use trocar_plugin_api::abi::{ClassTable, ErrBuf, STATUS_OK, STATUS_UNSUPPORTED, Status, Tick};
 
-/// Reads an entry of a table that may be shorter than ours; `None` when absent or null.
+/// Reads an entry of a table that may be shorter than the host's; `None` when absent or null.
 macro_rules! entry {
     ($table:expr, $field:ident) => {{
         let table: *const trocar_plugin_api::abi::ClassTable = $table;
@@ -14,7 +15,7 @@ macro_rules! entry {
         let size = unsafe { (*table).struct_size };
         let offset = std::mem::offset_of!(trocar_plugin_api::abi::ClassTable, $field);
         if trocar_plugin_api::has_entry(size, offset, size_of::<usize>()) {
-            // SAFETY: the field lies inside the table, by its own word.
+            // SAFETY: the field lies inside the table, by the size the table gives.
             unsafe { (*table).$field }
         } else {
             None
@@ -30,7 +31,7 @@ pub(super) type Read =
 type OnEvent = unsafe extern "C" fn(*mut c_void, u32, *const c_void, *mut ErrBuf) -> Status;
 pub(super) type StateCopy = unsafe extern "C" fn(*mut c_void, *mut c_void, usize);
 
-/// What is called in every cycle.
+/// Entries that are called in every cycle.
 pub(super) struct Hot {
     pub(super) step: Step,
     pub(super) command: Command,

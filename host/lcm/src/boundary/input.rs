@@ -1,8 +1,9 @@
 //! Inputs: the slots through which samples and frames reach a component.
 //!
-//! Invariant: a sample an input shows stays valid until the next `latest`, `next` or `release` on it, even when the
-//! connection is cut meanwhile (the input keeps the link it shows from alive). A link the component has left, or never took up
-//! before it was cut, holds no sample and no frame from then on, whoever still looks at it.
+//! Invariant: a sample an input shows stays valid until the next `latest`, `next` or `release` on it, even
+//! when the connection is cut meanwhile (the input keeps alive the link whose sample it shows). A link holds
+//! no sample and no frame from the moment the component has left it, or from the cut if the component never
+//! took it up, whichever cycle still looks at it.
 
 use std::cell::UnsafeCell;
 use std::ffi::c_void;
@@ -25,11 +26,12 @@ use trocar_rt::timing::Histogram;
 use super::super::context;
 use super::host_table::HostContext;
 use super::output::OutCell;
+use super::room;
 
-/// Number of the next link of this process; never given twice, as an address would be.
+/// Number of the next link of this process; never used twice, as an address would be.
 static NEXT: AtomicU64 = AtomicU64::new(1);
 
-/// Whose a link's reader is, in this order: the manager's that made it, the component's thread's, nobody's.
+/// User of a link's reader, in this order: the manager that made it, the component's thread, nobody.
 mod whose {
     pub(super) const NOT_TAKEN: u8 = 0;
     pub(super) const TAKEN: u8 = 1;
@@ -59,26 +61,26 @@ pub(crate) struct InLink {
 /// Stamp of the newest sample written, ns; kept where there is a `max_age`.
 pub(crate) enum Newest {
     Here(Arc<AtomicU64>),
-    /// Written by another process; with the time of connecting, until it has.
+    /// Written by another process; the time of connecting counts until the first write.
     Far(Word, u64),
 }
 
-/// The clock of a look may be so much behind that of a write, ns.
+/// Most by which the clock of a look may lag behind that of a write, ns.
 const AHEAD_NS: u64 = 1_000_000_000;
 
 impl Newest {
-    /// At first the time of connecting.
+    /// Starts with the time of connecting.
     pub(crate) fn here() -> (Newest, Arc<AtomicU64>) {
         let stamp = Arc::new(AtomicU64::new(os::now_ns()));
         (Newest::Here(stamp.clone()), stamp)
     }
 
-    /// As it looks at `now_ns`.
+    /// The stamp, seen at `now_ns`.
     fn get(&self, now_ns: u64) -> u64 {
         match self {
             Newest::Here(stamp) => stamp.load(Ordering::Relaxed),
             Newest::Far(stamp, connected_ns) => {
-                // Nobody has written it yet: it must not keep an input fresh for ever.
+                // A stamp still ahead of the clock must not keep an input fresh for ever.
                 let said = Some(stamp.get()).filter(|said| *said <= now_ns.saturating_add(AHEAD_NS));
                 said.unwrap_or(0).max(*connected_ns)
             }
@@ -86,7 +88,7 @@ impl Newest {
     }
 }
 
-// SAFETY: the place of its own; a link stands behind one input, which leaves it to its own list.
+// SAFETY: the place belongs to this link; a link stands behind one input, which leaves it to its own list.
 unsafe impl Leave for InLink {
     fn left(&self) -> &Left<InLink> {
         &self.left
@@ -96,12 +98,13 @@ unsafe impl Leave for InLink {
 /// Samples of another layout, copied by name into room of the input's own type.
 struct Adapt {
     plan: Vec<CopyRun>,
-    /// Of the input's type.
+    /// Size of the input's type.
     bytes: usize,
     room: UnsafeCell<Box<[u64]>>,
 }
 
-// SAFETY: reader and room are used only by whom `whose` names, one at a time; the rest is lock-free or immutable.
+// SAFETY: reader and room are used only by the user that `whose` names, one at a time; the rest is lock-free
+// or immutable.
 unsafe impl Sync for InLink {}
 // SAFETY: as above.
 unsafe impl Send for InLink {}
@@ -135,18 +138,20 @@ impl InLink {
         }
     }
 
-    /// The calling thread, the component's, may use the reader from now on; false when the link was cut before that.
+    /// Takes the reader for the calling thread, the component's; false when the link was cut before that.
     fn take(&self) -> bool {
         self.pass_to(whose::TAKEN) != Err(whose::CLOSED)
     }
 
-    /// Makes the reader `whose` unless it was taken or closed before; what it was, if so. Any thread.
+    /// Passes the reader to `whose` unless it was taken or closed before; then returns its present user. Any
+    /// thread.
     fn pass_to(&self, whose: u8) -> Result<u8, u8> {
-        // Whoever has it now comes after whatever was done with it before, in either way.
+        // Orders the new user's accesses after all earlier ones, in both directions.
         self.whose.compare_exchange(whose::NOT_TAKEN, whose, Ordering::AcqRel, Ordering::Acquire)
     }
 
-    /// The link stands behind its input no more: what waits in it goes back now, unless the component has taken it up.
+    /// Closes a link that stands behind its input no more: the samples waiting in it go back now, unless the
+    /// component has taken it up.
     fn close_if_not_taken(&self) {
         if self.pass_to(whose::CLOSED).is_ok() {
             // SAFETY: nobody has taken the reader, and nobody can any more.
@@ -154,24 +159,25 @@ impl InLink {
         }
     }
 
-    /// What waits in the link, and what was shown from it last, goes back now.
+    /// Gives back the samples that wait in the link, and the one shown from it last.
     ///
     /// # Safety
-    /// The component's thread has taken it and has left it, or has done its last; and nobody else calls this meanwhile.
+    /// The component's thread has taken the link and has left it, or has used it for the last time; and no
+    /// other thread calls this meanwhile.
     unsafe fn close(&self) {
         self.whose.store(whose::CLOSED, Ordering::Release);
         // SAFETY: the caller's promise.
         unsafe { &mut *self.reader.get() }.close();
     }
 
-    /// Nothing younger than `max_age` was written. Any thread.
+    /// Tells whether nothing younger than `max_age` was written. Any thread.
     pub(crate) fn is_stale(&self, now_ns: u64) -> bool {
         let age_ns = now_ns.saturating_sub(self.newest_ns.get(now_ns));
         self.max_age_ns > 0 && age_ns > self.max_age_ns
     }
 
-    /// Publishes the sample held here through `output`, a frame without a copy. With `give` the frame leaves this input, so
-    /// that its next reader may be its only owner.
+    /// Publishes the sample held here through `output`, a frame without a copy. With `give` the frame leaves
+    /// this input, so that its next reader may be its only owner.
     ///
     /// # Safety
     /// Consuming component's thread only.
@@ -181,7 +187,7 @@ impl InLink {
         let frame = if give { reader.take_frame() } else { reader.frame().cloned() };
         match (frame, reader.current()) {
             (Some(frame), _) => output.forward_frame(frame, stamp_ns),
-            // An adapted sample has the layout of this input, not of what it came from.
+            // An adapted sample has the layout of this input, not of its source.
             (None, Some(_)) if self.adapt.is_some() => INVALID_ARGUMENT,
             (None, Some(sample)) => output.forward_plain(sample.data, stamp_ns),
             (None, None) => INVALID_ARGUMENT,
@@ -192,7 +198,8 @@ impl InLink {
 impl Adapt {
     /// The sample as the input's own type. Consuming component's thread only.
     fn copy(&self, data: &[u8]) -> *const u8 {
-        // SAFETY: consuming component's thread only, and the last look at the room has ended with the sample before.
+        // SAFETY: consuming component's thread only, and the last look at the room has ended with the sample
+        // before.
         let room = unsafe { &mut *self.room.get() };
         let to: *mut u8 = room.as_mut_ptr().cast();
         let bytes = size_of_val(&**room);
@@ -211,9 +218,9 @@ pub(crate) struct InCell {
     link: BindingCell<Option<Arc<InLink>>>,
     /// The link the last view came from.
     held: UnsafeCell<Option<Arc<InLink>>>,
-    /// Links it showed from before, for a manager to drop: the component's thread frees no memory.
+    /// Earlier links, for a manager to drop: the component's thread frees no memory.
     left: LeftList<InLink>,
-    /// The component whose input it was is gone.
+    /// Set when the component that owned the input is gone.
     gone: OnceLock<Arc<HostContext>>,
 }
 
@@ -232,19 +239,20 @@ impl InCell {
         }
     }
 
-    /// Its component is gone: what it showed goes back.
+    /// Marks the input's component as gone: its samples go back.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         let _ = self.gone.set(gone.clone());
         self.let_go();
     }
 
-    /// What it shows, and what waits there, goes back now. After the component's thread has done its last for it.
+    /// Gives back the sample the input shows and those that wait in its link. Called after the component's
+    /// thread has used the input for the last time.
     pub(super) fn let_go(&self) {
         self.connect(None);
-        // SAFETY: the component's thread has done its last for it, and nobody else may look at samples of an
-        // input.
+        // SAFETY: the component's thread has used the input for the last time, and no other thread may look
+        // at samples of an input.
         if let Some(held) = unsafe { &mut *self.held.get() }.take() {
-            // SAFETY: as above; held, it is in no list.
+            // SAFETY: as above; a held link is in no list.
             unsafe { held.close() };
         }
     }
@@ -264,32 +272,40 @@ impl InCell {
     }
 
     pub(super) fn reclaim(&self) -> usize {
-        // SAFETY: the component's thread took it and has left it, behind the input stands another one, and the list shows it
-        // to one manager.
+        // SAFETY: the component's thread took the link and has left it, another link stands behind the input,
+        // and the list shows it to one manager.
         self.left.drop_each(|link| unsafe { link.close() });
         self.link.reclaim()
     }
 
-    /// Nothing younger than its connection's `max_age` was written. Any thread.
+    /// Tells whether nothing younger than its connection's `max_age` was written. Any thread.
     pub(crate) fn is_stale(&self, now_ns: u64) -> bool {
         self.link.enter().as_ref().is_some_and(|link| link.is_stale(now_ns))
     }
 
-    /// Passes samples not seen yet on to `output` unchanged: as many as can wait at once, so that a flood from another thread
-    /// cannot keep the cycle from its end. True when there may be more. Component's thread only; real-time.
+    /// Passes samples not seen yet on to `output` unchanged: as many as can wait at once, so that a flood
+    /// from another thread cannot keep the cycle from its end. True when there may be more. Component's
+    /// thread only; real-time.
     pub(crate) fn bypass(&self, output: &OutCell) -> bool {
-        let mut view = std::mem::MaybeUninit::uninit();
+        let mut view = SampleView {
+            struct_size: size_of::<SampleView>() as u32,
+            flags: 0,
+            header: std::ptr::null(),
+            bytes: std::ptr::null(),
+            len: 0,
+            stamp_ns: 0,
+            seq: 0,
+            token: 0,
+        };
         let mut passed = 0;
         loop {
-            if self.show(view.as_mut_ptr(), StreamReader::next) != IN_SAMPLE {
+            if self.show(&raw mut view, StreamReader::next) != IN_SAMPLE {
                 return false;
             }
-            // SAFETY: IN_SAMPLE says that the view was written.
-            let stamp_ns = unsafe { view.assume_init_ref() }.stamp_ns;
             // SAFETY: component's thread only.
             let Some(link) = (unsafe { &*self.held.get() }) else { return false };
             // SAFETY: as above.
-            unsafe { link.pass_on(output, stamp_ns, true) };
+            unsafe { link.pass_on(output, view.stamp_ns, true) };
             passed += 1;
             if passed >= link.depth {
                 return true;
@@ -297,7 +313,7 @@ impl InCell {
         }
     }
 
-    /// Publishes the sample this input shows through `output`; `None` when `token` is not of it.
+    /// Publishes the sample this input shows through `output`; `None` when `token` belongs to another input.
     ///
     /// # Safety
     /// Component's thread only.
@@ -308,8 +324,8 @@ impl InCell {
         (link.serial == token).then(|| unsafe { link.pass_on(output, stamp_ns, false) })
     }
 
-    /// Takes the present link and shows what `pick` finds there. Component's thread only. Made once for each way to pick: a
-    /// sample handed over in memory costs an eighth of a hop.
+    /// Takes the present link and shows the sample that `pick` finds there. Component's thread only. Compiled
+    /// once for each `pick`: a sample handed over in memory costs an eighth of a hop.
     #[inline(always)]
     fn show(
         &self,
@@ -330,7 +346,8 @@ impl InCell {
         let reader = unsafe { &mut *link.reader.get() };
         let Some(sample) = pick(reader) else { return IN_EMPTY };
         let mut flags = 0;
-        // By its own time, and by when it came: a stamp of another clock may be of any time.
+        // Takes the earlier of the sample's own time and its arrival: a stamp of another clock may be of any
+        // time.
         let told_ns = sample.meta.stamp_ns.min(sample.meta.came_ns);
         if sample.fresh {
             flags |= SAMPLE_FRESH;
@@ -339,7 +356,8 @@ impl InCell {
         if link.max_age_ns > 0 {
             let now_ns = os::now_ns();
             let old = now_ns.saturating_sub(told_ns) > link.max_age_ns;
-            // One that waited in a queue is old although newer ones came, the newest where no other came.
+            // A sample that waited in a queue is old although newer ones came; the newest sample is old where
+            // no other came.
             if old || link.is_stale(now_ns) {
                 flags |= SAMPLE_STALE;
             }
@@ -358,8 +376,8 @@ impl InCell {
             seq: sample.meta.seq,
             token: link.serial,
         };
-        // SAFETY: the caller lends room for a SampleView.
-        unsafe { view.write(shown) };
+        // SAFETY: the caller lends room for a SampleView, see `latest` and `next`.
+        unsafe { room::fill(view, shown) };
         IN_SAMPLE
     }
 }
@@ -369,24 +387,22 @@ fn in_cell<'a>(ctx: *mut c_void) -> &'a InCell {
     unsafe { &*ctx.cast::<InCell>() }
 }
 
-/// The caller lends a whole SampleView.
-fn is_whole(view: *const SampleView) -> bool {
-    // SAFETY: null, or a struct that begins with its size.
-    !view.is_null() && unsafe { (&raw const (*view).struct_size).read() } as usize >= size_of::<SampleView>()
-}
-
-/// What says which input a view is from; `None` without a whole view.
+/// Token of the input a view comes from; `None` without a view.
 pub(super) fn token_of(view: *const SampleView) -> Option<u64> {
-    // SAFETY: whole, and lent for the call.
-    is_whole(view).then(|| unsafe { (&raw const (*view).token).read() })
+    // SAFETY: null, or lent for the call; the first SampleViews had a token.
+    unsafe { room::is_lent(view).then(|| (&raw const (*view).token).read()) }
 }
 
 pub(super) unsafe extern "C" fn latest(ctx: *mut c_void, view: *mut SampleView) -> i32 {
-    if is_whole(view) { in_cell(ctx).show(view, StreamReader::latest) } else { INVALID_ARGUMENT }
+    // SAFETY: null, or lent for the call.
+    let lent = unsafe { room::is_lent(view) };
+    if lent { in_cell(ctx).show(view, StreamReader::latest) } else { INVALID_ARGUMENT }
 }
 
 pub(super) unsafe extern "C" fn next(ctx: *mut c_void, view: *mut SampleView) -> i32 {
-    if is_whole(view) { in_cell(ctx).show(view, StreamReader::next) } else { INVALID_ARGUMENT }
+    // SAFETY: null, or lent for the call.
+    let lent = unsafe { room::is_lent(view) };
+    if lent { in_cell(ctx).show(view, StreamReader::next) } else { INVALID_ARGUMENT }
 }
 
 pub(super) unsafe extern "C" fn release(ctx: *mut c_void) {
@@ -414,8 +430,8 @@ unsafe extern "C" fn release_held(token: u64) {
 }
 
 pub(super) unsafe extern "C" fn hold(ctx: *mut c_void, held: *mut Held) -> i32 {
-    // SAFETY: null, or a struct that begins with its size.
-    if held.is_null() || (unsafe { (&raw const (*held).struct_size).read() } as usize) < size_of::<Held>() {
+    // SAFETY: null, or lent for the call.
+    if !unsafe { room::is_lent(held) } {
         return INVALID_ARGUMENT;
     }
     // SAFETY: component's thread only.
@@ -432,8 +448,8 @@ pub(super) unsafe extern "C" fn hold(ctx: *mut c_void, held: *mut Held) -> i32 {
         token: frame.into_raw(),
         release: release_held,
     };
-    // SAFETY: the caller lends room for a Held.
-    unsafe { held.write(kept) };
+    // SAFETY: lent, as seen above.
+    unsafe { room::fill(held, kept) };
     IN_SAMPLE
 }
 
@@ -446,7 +462,7 @@ pub(super) unsafe extern "C" fn writable(ctx: *mut c_void, view: *mut SampleView
     }
     // SAFETY: component's thread only.
     match unsafe { (*link.reader.get()).frame() } {
-        // The only owner may write: nobody else can take a reference but through us.
+        // The only owner may write: another reference can be taken only through this input.
         Some(frame) if frame.is_unique() => frame.bytes().as_ptr().cast_mut(),
         _ => std::ptr::null_mut(),
     }

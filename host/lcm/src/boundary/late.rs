@@ -1,9 +1,10 @@
-//! What observers are given a little later: recorders, viewers, whoever takes samples of any type or listens at a tap.
+//! Deferred deliveries to observers: recorders, viewers, readers of samples of any type, listeners at a tap.
 //!
-//! Invariant: no step waits for whoever only looks on. What is for them is noted in the thread's turn, and given when that ends: in
-//! the order it came, after all who work with what the turn has made were woken. Nothing is left over when a turn ends. Only what a
-//! component did is noted that no other thread enters before then ([`super::runs_kept`]): nobody overtakes it. What is noted stays
-//! until its turn ends, so noting it counts nothing.
+//! Invariant: no step waits for an observer. Deliveries to observers are noted in the thread's turn and made
+//! when the turn ends: in the order they came, after the wakes of all consumers that work with the turn's
+//! results. Nothing is left over when a turn ends. Only actions of a component that no other thread enters
+//! before then are noted ([`super::runs_kept`]): no other thread overtakes them. A noted object stays until
+//! its turn ends, so noting it counts no reference.
 
 use std::cell::{Cell, RefCell};
 use std::ops::Range;
@@ -17,9 +18,9 @@ use super::super::instance::Instance;
 use super::super::{context, pending};
 use super::output::{OutCell, OutLink};
 
-/// How much a turn may have to give later; with more of it what is there is given at once.
+/// Most deliveries a turn may defer; when the list is full, all of it is given at once.
 const MOST: usize = 64;
-/// Bytes of samples, events and commands that are kept until then.
+/// Bytes of samples, events and commands that a turn may defer.
 const ROOM: usize = 16 << 10;
 
 /// Slots of a frame's pool that stay free beside those of noted frames.
@@ -30,13 +31,13 @@ thread_local! {
     static LATE: RefCell<Option<Late>> = const { RefCell::new(None) };
 }
 
-/// What a thread has noted; made with it, and never larger.
+/// Deferred deliveries of a thread; allocated with the thread, and never larger.
 struct Late {
     all: Vec<What>,
     bytes: Vec<u8>,
 }
 
-/// What stays where it is until this turn ends, by the promise of whoever noted it.
+/// An object that stays in place until this turn ends, as the caller that noted it promises.
 struct Staying<T>(NonNull<T>);
 
 impl<T> Staying<T> {
@@ -45,9 +46,9 @@ impl<T> Staying<T> {
     }
 
     /// # Safety
-    /// In the turn in which it was noted.
+    /// Only in the turn in which the object was noted.
     unsafe fn get(&self) -> &T {
-        // SAFETY: it stays until that turn ends.
+        // SAFETY: the object stays until that turn ends.
         unsafe { self.0.as_ref() }
     }
 }
@@ -55,7 +56,7 @@ impl<T> Staying<T> {
 enum What {
     /// The newest row of its state table.
     Row(Staying<Instance>),
-    /// An event or command, by the words before its payload.
+    /// An event or command, with the words before its payload.
     Told {
         tap: Staying<OutCell>,
         words: [u32; 4],
@@ -76,16 +77,16 @@ enum What {
 
 /// Makes room for this thread, before its first turn.
 pub(crate) fn prepare() {
-    // Written to, so that it is memory before it is needed.
+    // The bytes are written to, so that the memory is there before it is needed.
     let mut bytes = vec![1; ROOM];
     bytes.clear();
     LATE.set(Some(Late { all: Vec::with_capacity(MOST), bytes }));
 }
 
-/// Leaves the newest row of a component for later; false where it has to be told now.
+/// Defers the newest row of a component; false where it has to be told now.
 #[inline(never)]
 pub(crate) fn row(instance: &Instance) -> bool {
-    // One that this thread keeps is a member of its executor, which holds it through all of its turn.
+    // A component that this thread keeps is a member of its executor, which holds it through the whole turn.
     let later = instance.object.is_kept_here() && has_room(0);
     if later {
         note(&[], |_| What::Row(Staying::new(instance)));
@@ -93,10 +94,11 @@ pub(crate) fn row(instance: &Instance) -> bool {
     later
 }
 
-/// Leaves an event or command for later; false where it has to be told now.
+/// Defers an event or command; false where it has to be told now.
 ///
 /// # Safety
-/// In a turn of this thread: `tap` was reached through a binding in that very turn, or is that of a component this thread keeps.
+/// In a turn of this thread: `tap` was reached through a binding in that very turn, or belongs to a component
+/// this thread keeps.
 pub(super) unsafe fn told(tap: &OutCell, words: [u32; 4], payload: &[u8], stamp_ns: u64) -> bool {
     let later = has_room(payload.len());
     if later {
@@ -105,7 +107,7 @@ pub(super) unsafe fn told(tap: &OutCell, words: [u32; 4], payload: &[u8], stamp_
     later
 }
 
-/// Leaves a sample for later; false where it has to be pushed now.
+/// Defers a sample; false where it has to be pushed now.
 ///
 /// # Safety
 /// In a turn of this thread: `link` was reached through a binding in that very turn.
@@ -117,12 +119,12 @@ pub(super) unsafe fn sample(link: &OutLink, value: &[u8], meta: Meta) -> bool {
     later
 }
 
-/// Leaves a frame for later; given back where it has to be pushed now.
+/// Defers a frame; returned where it has to be pushed now.
 ///
 /// # Safety
 /// As of [`sample`].
 pub(super) unsafe fn frame(link: &OutLink, frame: Frame, meta: Meta) -> Option<Frame> {
-    // What waits here leaves slots of the pool free, as what waits in a queue does.
+    // A deferred frame leaves slots of the pool free, as a frame in a queue does.
     if !has_room(0) || !frame.pool_has_free(LEFT_FREE) {
         give();
         return Some(frame);
@@ -131,7 +133,8 @@ pub(super) unsafe fn frame(link: &OutLink, frame: Frame, meta: Meta) -> Option<F
     None
 }
 
-/// Whether this thread is in a turn and has room for one more with so many bytes. Where it has none, all that was noted is out.
+/// Tells whether this thread is in a turn and has room for one more delivery of so many bytes. Gives all
+/// noted deliveries first where there is no room.
 fn has_room(bytes: usize) -> bool {
     let fits = || {
         LATE.with_borrow(|late| {
@@ -146,7 +149,7 @@ fn has_room(bytes: usize) -> bool {
     fits()
 }
 
-/// After [`has_room`] said so.
+/// Notes one delivery, after [`has_room`] returned true.
 fn note(bytes: &[u8], what: impl FnOnce(Range<usize>) -> What) {
     LATE.with_borrow_mut(|late| {
         let Some(late) = late else { return };
@@ -157,7 +160,7 @@ fn note(bytes: &[u8], what: impl FnOnce(Range<usize>) -> What) {
     NOTED.set(true);
 }
 
-/// Gives observers what was noted in this turn. Real-time; in the turn it was noted in, after its wakes.
+/// Makes the deliveries noted in this turn. Real-time; in the same turn, after its wakes.
 #[inline]
 pub(crate) fn give() {
     if NOTED.get() {
@@ -167,7 +170,7 @@ pub(crate) fn give() {
 
 #[inline(never)]
 fn give_all() {
-    // Out of reach while it is given: whatever should be noted meanwhile is given at once.
+    // The list is out of reach during delivery: a delivery that comes up meanwhile is made at once.
     let Some(mut late) = LATE.take() else { return };
     NOTED.set(false);
     pending::publish();
@@ -175,8 +178,8 @@ fn give_all() {
     context::set_stepping(true);
     let Late { all, bytes } = &mut late;
     for what in all.drain(..) {
-        // SAFETY: all of it was noted in this turn: whoever runs turns comes here before they end, but for one that unwinds, which
-        // ends its thread, and what it noted is dropped without a look at it.
+        // SAFETY: all of it was noted in this turn: a thread that runs turns comes here before they end,
+        // except when one unwinds; that ends its thread, and its notes are dropped unread.
         unsafe {
             match what {
                 What::Row(instance) => instance.get().tell_row_of_turn(),
@@ -221,7 +224,7 @@ mod tests {
         }
     }
 
-    /// As the thread of an executor runs one.
+    /// Runs one turn as the thread of an executor does.
     fn turn(f: impl FnOnce()) {
         turn::run(|| {
             context::set_stepping(true);

@@ -1,7 +1,7 @@
-//! Where the LCM and plugins meet: calls into class tables, and the slots and host table plugins call.
+//! Boundary between the LCM and plugins: calls into class tables, and the slots and host table plugins call.
 //!
-//! Invariant: the only `unsafe` of the LCM is in this folder. Everything that enters through a slot is checked before it is
-//! used; nothing here waits, allocates or locks on the step path.
+//! Invariant: the only `unsafe` of the LCM is in this folder. Everything that enters through a slot is
+//! checked before it is used; nothing here waits, allocates or locks on the step path.
 
 mod answer;
 mod call;
@@ -27,6 +27,7 @@ mod queue;
 mod range;
 mod read;
 mod remains;
+mod room;
 pub(super) mod same;
 mod tap;
 #[cfg(test)]
@@ -77,7 +78,8 @@ pub(super) fn text_in(err: &ErrBuf) -> &[u8] {
     if err.ptr.is_null() {
         return &[];
     }
-    // SAFETY: `ptr` has room for `cap` bytes, and whoever sets `len` has written that many, by the contract of an `ErrBuf`.
+    // SAFETY: `ptr` has room for `cap` bytes, and the code that sets `len` has written that many, by the
+    // contract of an `ErrBuf`.
     unsafe { std::slice::from_raw_parts(err.ptr, err.len.min(err.cap)) }
 }
 
@@ -86,28 +88,28 @@ fn running<R>(f: impl FnOnce(&Instance) -> R) -> Option<R> {
     // SAFETY: null, or the context of the instance that is being called on this very thread.
     let host = unsafe { super::context::component().as_ref() }?;
     let instance = host.instance.get().filter(|instance| instance.strong_count() > 0)?;
-    // SAFETY: it was not being dropped, and its code runs on this very thread, inside its entry lock: who removes it waits for that
-    // lock, or leaves the instance where it is for good.
+    // SAFETY: it was not being dropped, and its code runs on this very thread, inside its entry lock: the
+    // manager that removes it waits for that lock, or leaves the instance where it is for good.
     Some(f(unsafe { &*instance.as_ptr() }))
 }
 
-/// The component whose code runs on this thread is one that no other thread enters before this turn ends.
+/// Tells whether no other thread enters the component whose code runs on this thread before this turn ends.
 pub(super) fn runs_kept() -> bool {
     turn::is_inside() && running(|instance| instance.object.is_kept_here()) == Some(true)
 }
 
-/// Counts what the component whose code runs on this thread did.
+/// Counts a misuse by the component whose code runs on this thread.
 #[cold]
 fn misused(what: super::instance::Misuse) {
     running(|instance| instance.counters.misuse(what));
 }
 
-/// Passes on what a filter that failed would have worked on, without a copy of a frame. Real-time.
+/// Passes on the input of a failed filter, without a copy of a frame. Real-time.
 pub(super) fn bypass(instance: &Instance, _inside: &mut crate::instance::Entered<'_>) {
     instance.bypass();
 }
 
-/// Gives `text` to a plugin; nothing to tell is STATUS_UNSUPPORTED.
+/// Gives `text` to a plugin; an empty text is STATUS_UNSUPPORTED.
 fn tell(sink: *const Sink, text: &str) -> Status {
     // SAFETY: null or a sink the plugin lends for the call.
     let Some(sink) = (unsafe { sink.as_ref() }) else { return STATUS_UNSUPPORTED };
@@ -122,7 +124,8 @@ fn tell(sink: *const Sink, text: &str) -> Status {
 /// A class of the loader as the LCM keeps it.
 pub(super) fn loaded_class(class: trocar_loader::LoadedClass) -> LoadedClass {
     let table = std::ptr::from_ref(class.table);
-    // SAFETY: the loader checked the table; the plugin, kept beside it, stays mapped for the life of the process.
+    // SAFETY: the loader checked the table; the plugin, kept beside it, stays mapped for the life of the
+    // process.
     unsafe { LoadedClass::new(table, class.plugin) }
 }
 

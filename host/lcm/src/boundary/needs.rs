@@ -1,14 +1,14 @@
-//! Which entries of a class table a description makes necessary.
+//! Entries of a class table that a description makes necessary.
 //!
-//! Invariant: as the loader asks a manifest (`loader/table.rs`), asked of ports that came later; the system interface, which
-//! stands last, and the taps are the host's own and need none.
+//! Invariant: the same check as the loader's for a manifest (`loader/table.rs`), for ports that came later;
+//! the system interface, which stands last, and the taps are the host's own and need none.
 
 use trocar_model::{CommandKind, Ports};
 use trocar_plugin_api::abi::ClassTable;
 
 use super::hot::entry;
 
-/// The first entry that is null although something in `ports` needs it, and what that is.
+/// The first entry that is null although a member of `ports` needs it, and the name of that member.
 pub(super) fn lacking(table: *const ClassTable, ports: &Ports) -> Option<(&'static str, String)> {
     let own = &ports.provided[..ports.provided.len().saturating_sub(1)];
     let commands = || own.iter().flat_map(|p| p.commands.iter().map(move |c| (p, c)));

@@ -1,4 +1,4 @@
-//! What a caller says beside the argument, read and written only as far as its `struct_size` reaches.
+//! Options of a call beside its argument, read and written only as far as their `struct_size` reaches.
 //!
 //! Invariant: a field behind the caller's size counts as absent and is never touched.
 
@@ -7,7 +7,7 @@ use std::mem::offset_of;
 use trocar_plugin_api::abi::{CallOpts, MODE_SEND, Outcome};
 use trocar_plugin_api::has_entry;
 
-/// The options, where they have all our fields.
+/// The options, if they have all fields of this host.
 ///
 /// # Safety
 /// Not null; lent by the caller for `'a` and as long as its `struct_size` says.
@@ -18,9 +18,9 @@ pub(super) unsafe fn whole<'a>(opts: *mut CallOpts) -> Option<&'a mut CallOpts> 
     if (size as usize) < size_of::<CallOpts>() {
         return None;
     }
-    // SAFETY: the caller's promise; all our fields lie inside.
+    // SAFETY: the caller's promise; all fields of this host lie inside.
     let opts = unsafe { &mut *opts };
-    // A buffer that lies nowhere is no buffer, also for the server it is handed on to.
+    // A buffer at a null address is no buffer, also for the server it is handed on to.
     // SAFETY: null or a buffer the caller lends for the call.
     if unsafe { opts.err.as_ref() }.is_some_and(|err| err.ptr.is_null()) {
         opts.err = std::ptr::null_mut();
@@ -45,7 +45,7 @@ pub(super) unsafe fn with(opts: *mut CallOpts, f: impl FnOnce(Option<&mut CallOp
     }
 }
 
-/// The same through a copy of the fields that are there.
+/// The same, through a copy of the fields that are there.
 #[cold]
 unsafe fn with_short(
     opts: *mut CallOpts,
@@ -69,7 +69,7 @@ unsafe fn with_short(
             }
         };
     }
-    // SAFETY: each place that is looked at lies inside what the caller lends.
+    // SAFETY: each place that is looked at lies inside the memory the caller lends.
     unsafe {
         field!(mode, |place| whole.mode = place.read());
         field!(deadline_ns, |place| whole.deadline_ns = place.read());

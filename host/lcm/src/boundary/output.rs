@@ -1,6 +1,7 @@
 //! Outputs: the slots through which samples and frames leave a component.
 //!
-//! Invariant: an output never waits for a reader; every write counts, read or not, so a gap at a reader is what it missed.
+//! Invariant: an output never waits for a reader; every write counts, read or not, so a gap at a reader is
+//! the number of samples it missed.
 
 mod pools;
 mod slots;
@@ -27,8 +28,8 @@ use super::{late, told};
 use pools::Pools;
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
 
-/// A stamp may be so much ahead of this machine's clock, ns: the translation of a device's time has such an
-/// error.
+/// Most by which a stamp may be ahead of this machine's clock, ns: the translation of a device's time has
+/// such an error.
 const STAMP_BOUND_NS: u64 = 10_000_000;
 /// Connection number of readers from outside.
 pub(crate) const OUTSIDE: u64 = 0;
@@ -39,17 +40,19 @@ pub(crate) struct OutLink {
     pub(crate) connection: u64,
     writer: StreamWriter,
     consumer: Consumer,
-    /// Its reader looks on: it is given what is there when the writer's turn ends.
+    /// True for a reader that only observes: it is given samples when the writer's turn ends.
     observes: bool,
 }
 
-/// Who reads a link, and how it is told that there is something to read.
+/// The reader of a link, and the way it is told that there is something to read.
 pub(crate) enum Consumer {
-    /// A component of this process; with where the stamp of the newest sample goes, for connections with a `max_age`.
+    /// A component of this process; and the place for the stamp of the newest sample, for connections with a
+    /// `max_age`.
     Here(Arc<Instance>, Option<Arc<AtomicU64>>),
-    /// One of another process; likewise, and with where the number of the first sample goes that it is offered.
+    /// A component of another process; likewise, and the place for the number of the first sample it is
+    /// offered.
     Far { bell: Arc<Waker>, newest_ns: Option<Word>, first: Arc<AtomicU64> },
-    /// Somebody outside, who looks by himself.
+    /// A reader outside, which polls.
     Outside,
 }
 
@@ -60,7 +63,7 @@ impl OutLink {
     }
 }
 
-/// How the samples of an output lie in memory.
+/// Memory layout of an output's samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shape {
     /// Bytes of a plain sample or of a frame's header.
@@ -80,40 +83,40 @@ impl Shape {
     }
 }
 
-/// What stands behind an output now.
+/// Present type and links of an output.
 pub(crate) struct Outs {
     pub(crate) shape: Shape,
-    /// The type of what passes; `None` for an untyped output that nobody has connected.
+    /// The type of the samples; `None` for an untyped output that is not connected.
     ty: Option<PortType>,
     /// The same as manifest JSON, empty while unconnected.
     described: Arc<str>,
     links: Vec<Arc<OutLink>>,
-    /// The component whose output it was is gone; then its shape is unknown.
+    /// Set when the component that owned the output is gone; then its shape is unknown.
     gone: Option<Arc<HostContext>>,
 }
 
 /// Host cell behind an output slot.
 pub(crate) struct OutCell {
     pub(super) outs: BindingCell<Outs>,
-    /// Managers change it one after the other.
+    /// Lets managers change it one after the other.
     editing: Mutex<()>,
-    /// Where frames come from.
+    /// Source of frames.
     pools: BindingCell<Pools>,
-    /// They are changed one after the other.
+    /// Lets pools be changed one after the other.
     pooling: Mutex<()>,
-    /// Number of the pool that was locked, or was refused to be; 0 = none.
+    /// Number of the last pool that was locked or whose locking failed; 0 = none.
     locked: AtomicU64,
     /// The component's inputs, whose samples may be passed on.
     inputs: BindingCell<Vec<Arc<InCell>>>,
-    /// The class said no type: that of the first connection holds while there is one.
+    /// The class gave no type: the type of the first connection holds while there is one.
     untyped: bool,
     /// Writes so far.
     pub(crate) seq: AtomicU64,
     /// Bytes so far, headers included.
     pub(crate) total_bytes: AtomicU64,
-    /// Loans that were refused so far: pools come and go.
+    /// Refused loans so far; counted here, as pools come and go.
     exhausted: AtomicU64,
-    /// Of a tap: somebody was connected.
+    /// For a tap: true once a reader was connected.
     pub(super) listened: AtomicBool,
 }
 
@@ -147,7 +150,7 @@ impl OutCell {
         self.outs.enter().shape
     }
 
-    /// The type of what passes now; an untyped output has one as long as it is connected.
+    /// The type of the samples now; an untyped output has one as long as it is connected.
     pub(crate) fn passing(&self) -> Option<PortType> {
         self.outs.enter().ty.clone()
     }
@@ -167,14 +170,14 @@ impl OutCell {
         });
     }
 
-    /// Takes links away; managers only. An untyped output without connections has no type again.
+    /// Removes links; managers only. An untyped output without connections has no type again.
     pub(crate) fn remove(&self, gone: impl Fn(&Arc<OutLink>) -> bool) {
         self.edit(|outs| {
             outs.links.retain(|l| !gone(l));
             if outs.links.iter().all(|l| l.connection == OUTSIDE) {
                 outs.described = "".into();
                 if self.untyped {
-                    // Whoever still reads from outside asked for the type that went.
+                    // A remaining reader from outside asked for the type that went.
                     outs.links.clear();
                     outs.shape = Shape::of(&PortType::Any);
                     outs.ty = None;
@@ -184,7 +187,7 @@ impl OutCell {
         });
     }
 
-    /// Whether it still gives what is written to this link.
+    /// Tells whether the output still writes to this link.
     pub(crate) fn has(&self, link: &Arc<OutLink>) -> bool {
         self.outs.enter().links.iter().any(|l| Arc::ptr_eq(l, link))
     }
@@ -214,7 +217,7 @@ impl OutCell {
         self.outs.reclaim() + self.pools.reclaim() + self.inputs.reclaim()
     }
 
-    /// Its component is gone. Frames that are out keep their pool.
+    /// Marks the output's component as gone. Frames that are out keep their pool.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         self.edit(|outs| {
             *outs = Outs {
@@ -231,12 +234,13 @@ impl OutCell {
         self.know(Vec::new());
     }
 
-    /// The inputs whose samples may be passed on through it; managers only.
+    /// Sets the inputs whose samples may be passed on through this output; managers only.
     pub(super) fn know(&self, inputs: Vec<Arc<InCell>>) {
         self.inputs.swap(Box::new(inputs));
     }
 
-    /// Bytes of so many of its samples: frames, which have any length, by the mean of all that were written.
+    /// Bytes of so many of its samples: for frames, which have any length, by the mean of all that were
+    /// written.
     pub(crate) fn bytes_of(&self, samples: u64, shape: Shape) -> u64 {
         if !shape.frame {
             return samples.saturating_mul(shape.bytes as u64);
@@ -256,7 +260,7 @@ impl OutCell {
                 (now_ns, now_ns)
             }
             past if past <= context::about_now_ns() => (past, past),
-            // It is of this step, or ahead: what is stamped ahead of time is as old as its coming.
+            // The stamp is of this step, or ahead: a sample stamped ahead of time is as old as its arrival.
             late => {
                 let now_ns = os::now_ns();
                 if late > now_ns.saturating_add(STAMP_BOUND_NS) {
@@ -268,7 +272,7 @@ impl OutCell {
         Meta { stamp_ns, came_ns, seq }
     }
 
-    /// Counts a sample whose stamp is still to come; real-time.
+    /// Counts a sample with a stamp in the future; real-time.
     #[cold]
     #[inline(never)]
     fn note_ahead(&self, ahead_ns: u64) {
@@ -312,19 +316,19 @@ impl OutCell {
         for link in others {
             link.push_frame(frame.clone(), meta);
         }
-        // The last one gets the handle itself, so that a single reader is the frame's only owner.
+        // The last link gets the handle itself, so that a single reader is the frame's only owner.
         last.push_frame(frame, meta);
         EXECUTED
     }
 
-    /// A write nobody reads is a write all the same: the next reader sees how many went before.
+    /// Counts a write without readers as a write: the next reader sees how many went before.
     fn count_unread(&self, bytes: usize) {
         let _ = self.next_meta(1, bytes);
     }
 }
 
 impl OutCell {
-    /// Takes back frames that readers in other processes have done with.
+    /// Takes back frames that readers in other processes have released.
     #[cold]
     pub(crate) fn collect(&self) {
         self.outs.look(|outs| {
@@ -335,8 +339,8 @@ impl OutCell {
 }
 
 impl Outs {
-    /// State rows this thread owes are out before a sample tells another thread of what they hold. Links to those who look on see to it
-    /// themselves, when they push.
+    /// Publishes the state rows this thread owes before a sample tells another thread of their values. Links
+    /// to observers do this themselves, when they push.
     #[inline]
     fn publish_owed(&self) {
         if !self.links.iter().all(|link| link.observes || link.is_read_here()) {
@@ -353,7 +357,7 @@ impl Outs {
         UNBOUND
     }
 
-    /// Its component is.
+    /// Tells whether its component is gone.
     fn is_gone(&self) -> bool {
         self.gone.is_some()
     }
@@ -363,7 +367,7 @@ impl Outs {
         self.links.is_empty()
     }
 
-    /// Offers what a tap tells to everybody; zeros fill it up to the size of its samples.
+    /// Offers the sample of a tap to every reader; zeros fill it up to the size of its samples.
     #[inline]
     pub(super) fn tell(&self, head: &[u8], body: &[u8], meta: Meta) {
         for link in &self.links {
@@ -375,13 +379,14 @@ impl Outs {
 }
 
 impl OutLink {
-    /// Only this very thread can take what is written now: it holds the consumer's entry lock for its cycle.
+    /// Tells whether only this very thread can take the written sample: it holds the consumer's entry lock
+    /// for its cycle.
     #[inline]
     fn is_read_here(&self) -> bool {
         matches!(&self.consumer, Consumer::Here(consumer, _) if consumer.object.is_kept_here())
     }
 
-    /// Its reader looks on from another thread.
+    /// Tells whether the reader observes from another thread.
     #[inline]
     fn is_watched(&self) -> bool {
         self.observes && !self.is_read_here()
@@ -414,7 +419,7 @@ impl OutLink {
         self.push_frame_now(frame, meta);
     }
 
-    /// Now, whoever reads it.
+    /// Pushes the frame now, to any kind of reader.
     #[inline]
     pub(crate) fn push_frame_now(&self, frame: Frame, meta: Meta) {
         self.begin(meta.seq);
@@ -425,8 +430,9 @@ impl OutLink {
     #[inline]
     pub(crate) fn push_now(&self, value: &[u8], meta: Meta) {
         if self.is_read_here() {
-            // SAFETY: a reader is used by whoever is inside its component alone, and the lock for that is this thread's until
-            // its cycle ends: nobody else is in it meanwhile, and whoever gets the lock later comes after.
+            // SAFETY: only the thread inside the component uses its reader, and this thread has the lock for
+            // that until its cycle ends: no other thread is inside meanwhile, and the next holder of the lock
+            // comes after.
             unsafe { self.writer.push_here(value, meta) };
         } else {
             self.begin(meta.seq);
@@ -435,14 +441,15 @@ impl OutLink {
         self.signal(meta.came_ns);
     }
 
-    /// Notes the number of the first sample for another process, before that is counted.
+    /// Notes the number of the first sample for another process, before that sample is counted.
     #[inline(always)]
     fn begin(&self, seq: u64) {
         if let Consumer::Far { first, .. } = &self.consumer
             && first.load(Ordering::Relaxed) == 0
         {
             first.store(seq, Ordering::Relaxed);
-            // Pairs with the fence of `ServerWires::offered`: who finds it counted finds its number.
+            // Pairs with the fence of `ServerWires::offered`: a reader that finds the sample counted finds
+            // its number.
             fence(Ordering::Release);
         }
     }
@@ -455,7 +462,7 @@ impl OutLink {
         }
     }
 
-    /// `consumer` is this link's.
+    /// Signals the consumer of this link.
     #[inline(always)]
     fn tell_of_sample(consumer: &Instance) {
         if !consumer.looks_for_samples() {
@@ -464,7 +471,7 @@ impl OutLink {
         }
     }
 
-    // Apart, so that the common way stays small.
+    // Kept apart, so that the common way stays small.
     #[inline(never)]
     fn signal_with_age(&self, came_ns: u64) {
         match &self.consumer {

@@ -1,6 +1,8 @@
-//! The host extension `trocar.parallel/1`: slices of a frame on the threads of the stream a component runs in.
+//! The host extension `trocar.parallel/1`: slices of a frame on the threads of the stream a component runs
+//! in.
 //!
-//! Invariant: `run` returns only when no thread is inside a body any more; without a pool everything runs in the caller.
+//! Invariant: `run` returns only when no thread is inside a body any more; without a pool everything runs in
+//! the caller.
 
 use std::ffi::c_void;
 
@@ -8,7 +10,7 @@ use trocar_plugin_api::abi::{Parallel, STATUS_INVALID, STATUS_OK, SliceBody, Sta
 
 use super::super::context;
 
-/// One table for all: the team is that of the calling thread.
+/// One table for all components: the team is that of the calling thread.
 static TABLE: Table = Table(Parallel {
     struct_size: size_of::<Parallel>() as u32,
     flags: 0,
@@ -57,7 +59,8 @@ unsafe extern "C" fn run(_ctx: *mut c_void, slices: u32, body: *const SliceBody)
     }
 }
 
-/// All slices one after the other; the first failure counts, as with a team, and the others run all the same.
+/// Runs all slices one after the other; the first failure counts, as with a team, and the others run all the
+/// same.
 fn alone(slices: u32, body: Body) -> Status {
     (0..slices)
         .map(|slice| body.slice(slice))
@@ -81,7 +84,7 @@ mod tests {
         if slice == 2 { -7 } else { STATUS_OK }
     }
 
-    /// How often each of eight slices ran, a byte each, and the status.
+    /// Run count of each of eight slices, a byte each, and the status.
     fn ran() -> (u64, Status) {
         let seen = AtomicU64::new(0);
         let body = SliceBody { data: (&raw const seen).cast_mut().cast(), run: mark };

@@ -1,8 +1,9 @@
-//! The slot tables of one instance: cells, the immutable slot structs that point to them, and the arrays of pointers the
-//! plugin gets at `bind`.
+//! The slot tables of one instance: cells, the immutable slot structs that point to them, and the arrays of
+//! pointers the plugin gets at `bind`.
 //!
-//! Invariant: cells and slots never move and live as long as a table that holds them; positions are the description's. A
-//! port that stays from one description to the next keeps its cell and its slot, and with them all that is connected.
+//! Invariant: cells and slots never move and live as long as a table that holds them; positions are the
+//! description's. A port that stays from one description to the next keeps its cell and its slot, and with
+//! them all its connections.
 
 use std::fmt;
 use std::sync::Arc;
@@ -61,7 +62,8 @@ struct Pointers {
     events: Vec<*const EventSlot>,
 }
 
-// SAFETY: the raw pointers point into the Arcs of the same struct, which are Sync (cells) or immutable (slots).
+// SAFETY: the raw pointers point into the Arcs of the same struct, which are Sync (cells) or immutable
+// (slots).
 unsafe impl Send for Slots {}
 // SAFETY: as above.
 unsafe impl Sync for Slots {}
@@ -70,17 +72,17 @@ fn size_of_slot<T>() -> u32 {
     size_of::<T>() as u32
 }
 
-/// Frames of outputs that there is no memory for.
+/// Outputs without memory for their frames.
 #[derive(Clone, Debug)]
 pub(crate) struct NoRoom {
     pub(crate) outputs: Vec<String>,
-    /// All that was asked for.
+    /// All bytes that were asked for.
     pub(crate) bytes: u64,
-    /// What there is.
+    /// Memory that is available.
     pub(crate) why: String,
 }
 
-/// Outputs a sentence names.
+/// Most outputs a sentence names.
 const NAMED: usize = 3;
 
 impl fmt::Display for NoRoom {
@@ -101,7 +103,7 @@ impl NoRoom {
     }
 }
 
-/// Bytes the pool of an output takes that is made with it; 0 without one.
+/// Bytes of the pool that is made together with an output; 0 without one.
 fn pool_bytes(ty: &PortType) -> usize {
     match ty {
         PortType::Frame { header, max_bytes, .. } if *max_bytes > 0 => {
@@ -111,7 +113,7 @@ fn pool_bytes(ty: &PortType) -> usize {
     }
 }
 
-/// All of them or none: looked at together before the first page is taken.
+/// Checks room for all pools together, before the first page is taken: all are made or none.
 fn room_for<'a>(outputs: impl Iterator<Item = &'a Output>) -> Result<(), NoRoom> {
     let pools: Vec<(&Output, usize)> =
         outputs.map(|o| (o, pool_bytes(&o.ty))).filter(|(_, n)| *n > 0).collect();
@@ -188,7 +190,7 @@ fn new_event(payload: Option<&Type>) -> Port<EventCell, EventSlot> {
 }
 
 impl Slots {
-    /// Slots for `ports`; those of an earlier description that stay are taken over from it.
+    /// Makes slots for `ports`; slots of an earlier description that stay are taken over from it.
     ///
     /// # Errors
     /// There is no memory for the frames of an output.
@@ -232,14 +234,15 @@ impl Slots {
                 kept.unwrap_or_else(|| new_event(new.payload.as_ref()))
             }));
         }
-        // Those of the earlier description may still show a sample when it gives way.
+        // Inputs of the earlier description may still show a sample when it is replaced.
         let known: Vec<_> = inputs.iter().chain(before.iter().flat_map(|(_, slots)| &slots.inputs)).collect();
         for output in &outputs {
             output.cell.know(known.iter().map(|p| p.cell.clone()).collect());
         }
-        // The plugin knows only its own events; the system interface's, which come last, are the host's to emit.
+        // The plugin knows only its own events; the system interface's, which come last, are the host's to
+        // emit.
         let own_events = events.len() - ports.provided.last().map_or(0, |p| p.events.len());
-        // Nor does it know the taps, which stand last, too.
+        // The plugin does not know the taps either; they stand last, too.
         let own_outputs = ports.own_outputs().count();
         Ok(Self::with_ports((outputs, own_outputs), inputs, functions, (events, own_events)))
     }
@@ -271,18 +274,18 @@ impl Slots {
         Slots { outputs, inputs, functions, events, table, _pointers: pointers }
     }
 
-    /// The samples and frames at its inputs go back, whatever cycle of others still looks there. Component's thread only,
-    /// which does its last for them: there is no instance any more.
+    /// Gives back the samples and frames at the inputs, whichever cycle of others still looks there.
+    /// Component's thread only, as its last use of them: there is no instance any more.
     pub(crate) fn let_go_of_inputs(&self) {
         self.inputs.iter().for_each(|p| p.cell.let_go());
     }
 
-    /// Number of its ports.
+    /// Number of ports.
     pub(super) fn count(&self) -> usize {
         self.outputs.len() + self.inputs.len() + self.functions.len() + self.events.len()
     }
 
-    /// Their component, whose host context this is, is gone: nothing stands behind them any more.
+    /// Empties all cells: their component, whose host context is `gone`, is gone.
     pub(super) fn retire(&self, gone: &Arc<HostContext>) {
         self.outputs.iter().for_each(|p| p.cell.retire(gone));
         self.inputs.iter().for_each(|p| p.cell.retire(gone));
@@ -298,7 +301,7 @@ impl Slots {
         &self.outputs[i].cell
     }
 
-    /// Which output a cell is.
+    /// Position of the output that has this cell.
     pub(super) fn output_of(&self, cell: &OutCell) -> Option<usize> {
         self.outputs.iter().position(|port| std::ptr::eq(&*port.cell, cell))
     }
@@ -315,13 +318,13 @@ impl Slots {
         &self.events[i].cell
     }
 
-    /// Locks the pools of its outputs into memory, each once; which could not be, and why.
+    /// Locks the pools of the outputs into memory, each once; returns those that failed, and why.
     pub(crate) fn lock_pools(&self) -> Vec<(usize, OsError)> {
         let outputs = self.outputs.iter().enumerate();
         outputs.filter_map(|(i, output)| Some((i, output.cell.lock_pool()?))).collect()
     }
 
-    /// Drops what earlier swaps left for callers that were inside; returns how many still are.
+    /// Drops the leftovers of earlier swaps, kept for callers that were inside; returns how many still are.
     pub(crate) fn reclaim(&self) -> usize {
         let functions = self.functions.iter().map(|p| p.cell.reclaim());
         let outputs = self.outputs.iter().map(|p| p.cell.reclaim());

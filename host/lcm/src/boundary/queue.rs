@@ -1,7 +1,8 @@
-//! A command that waits for its server's own thread: put into a queue, its answer awaited where one is wanted.
+//! A command that waits for its server's own thread: it is queued, and its answer is awaited where one is
+//! wanted.
 //!
-//! Invariant: a call is answered, or its deadline ends it; whoever ends the server answers what is queued, and whoever queues looks
-//! once more afterwards.
+//! Invariant: a call is answered, or its deadline ends it; the thread that ends the server answers the queued
+//! calls, and a caller checks the server once more after it has queued.
 
 use std::sync::Arc;
 
@@ -15,37 +16,37 @@ use super::super::inbox::{ENTRY_COMMAND, ENTRY_DUE};
 use super::super::pending;
 use super::call::write_err;
 
-/// One command of one connection: where it lies in the queue and what it carries.
+/// One command of one connection: its place in the queue and its sizes.
 pub(crate) struct Lane {
     /// Position in the queue's table.
     pub(crate) index: u32,
-    /// Its argument is a goal that grows old.
+    /// True when its argument is a goal that ages.
     pub(crate) ages: bool,
     pub(crate) arg_bytes: usize,
     pub(crate) ret_bytes: usize,
     pub(crate) overflow: Overflow,
 }
 
-/// A queue into a server, wherever that is.
+/// A queue into a server, in this process or another one.
 pub(super) trait Destination {
     fn mailbox(&self) -> &Mailbox;
     fn replies(&self) -> &Arc<ReplyPool>;
-    /// Tells its thread that something is there.
+    /// Tells the server's thread that a call waits.
     fn signal(&self);
     /// As above, and at once: the queue is full, and the caller may try again in this very step.
     fn signal_now(&self);
-    /// After something was queued.
+    /// Called after a call was queued.
     fn queued(&self) {}
-    /// Why the queue takes nothing any more.
+    /// Reason why the queue takes nothing any more.
     fn closed(&self) -> Outcome;
-    /// Why the server would not run it now; `None`: it would.
+    /// Reason why the server would not run the call now; `None`: it would.
     fn away(&self) -> Option<Outcome>;
 }
 
-/// Text beside QUEUE_FULL when a newer call took the place of this one.
+/// Text beside QUEUE_FULL when a newer call replaced this one.
 pub(crate) const REPLACED: &str = "a newer call took its place before it ran";
 
-/// Answers a call whose place a newer one took, unexecuted. Real-time.
+/// Answers a call that a newer one replaced, unexecuted. Real-time.
 pub(crate) fn replaced(replies: &ReplyPool, token: u64) {
     if let Some(running) = replies.begin(token, QUEUE_FULL) {
         running.finish(QUEUE_FULL, |_, text| {
@@ -81,7 +82,7 @@ pub(super) fn queue(
     let (kind, stamp_ns) = if ticket.is_some() || says_when {
         (ENTRY_DUE, os::now_ns().saturating_add(deadline_ns))
     } else {
-        // The server judges the age of what says nothing of it.
+        // The server judges the age of a call without a deadline of its own.
         (ENTRY_COMMAND, if lane.ages { context::about_now_ns() } else { 0 })
     };
     let head = EntryHead { kind, index: lane.index, reply, stamp_ns };
@@ -105,8 +106,8 @@ pub(super) fn queue(
     to.queued();
     let Some(ticket) = ticket else { return QUEUED };
     if let Some(why) = to.away() {
-        // Stopped since it was asked, perhaps on a thread that is held up: whoever stopped it may have looked into the
-        // queue before this was there.
+        // The server was stopped after the first check, perhaps on a thread that is held up: the thread that
+        // stopped it may have looked into the queue before this call was there.
         to.replies().fail(ticket.token(), why);
     }
     let ret_bytes = lane.ret_bytes;

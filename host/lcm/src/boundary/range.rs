@@ -1,7 +1,7 @@
 //! The declared range of an argument.
 //!
-//! Invariant: the bytes are checked, wherever they lie, before a component sees them; a limit that is shown
-//! holds for every number of the argument, however deep.
+//! Invariant: the bytes are checked, wherever they lie, before a component sees them; a declared limit holds
+//! for every number of the argument, however deep.
 
 use trocar_model::{Arg, Prim, Type};
 
@@ -11,7 +11,7 @@ pub(crate) struct RangeCheck {
     ty: Type,
     /// Size of one argument.
     bytes: usize,
-    /// The argument is a single f64, as most are.
+    /// True when the argument is a single f64, as most are.
     single: bool,
     min: f64,
     max: f64,
@@ -32,7 +32,7 @@ impl RangeCheck {
         })
     }
 
-    /// As `holds`; false as well for what is too short for the argument's type.
+    /// As `holds`; also false for bytes too short for the argument's type.
     pub(crate) fn holds_in(&self, arg: &[u8]) -> bool {
         arg.len() >= self.bytes && self.all(&self.ty, &arg[..self.bytes])
     }
@@ -47,12 +47,13 @@ impl RangeCheck {
         self.all(&self.ty, bytes)
     }
 
-    /// Not a number is in no range.
+    /// A NaN is in no range.
     fn contains(&self, value: f64) -> bool {
         value >= self.min && value <= self.max
     }
 
-    /// Whether all numbers of a value are in the range. Stamps, flags, texts and enums are none.
+    /// Tells whether all numbers of a value are in the range. Stamps, flags, texts and enums do not count as
+    /// numbers.
     fn all(&self, ty: &Type, bytes: &[u8]) -> bool {
         match ty {
             Type::Prim(prim) => number(*prim, bytes).is_none_or(|value| self.contains(value)),
@@ -74,7 +75,7 @@ impl RangeCheck {
     }
 }
 
-/// The number a primitive is; none of what counts nothing.
+/// The number in a primitive; `None` for a primitive that is no quantity.
 fn number(prim: Prim, bytes: &[u8]) -> Option<f64> {
     let raw = word(bytes, prim.size());
     Some(match prim {
@@ -108,7 +109,7 @@ mod tests {
         Field { name: name.into(), at, ty, unit, doc, frame }
     }
 
-    /// A number beside others in all the ways they come in.
+    /// Types with a number beside others, in all nestings.
     fn types() -> impl Strategy<Value = Type> {
         let prims = prop::sample::select(Prim::ALL.to_vec()).prop_map(Type::Prim);
         prims.prop_recursive(3, 24, 4, |inner| {
@@ -137,7 +138,7 @@ mod tests {
         })
     }
 
-    /// The numbers of a value as JSON shows them, but for stamps and flags.
+    /// The numbers of a value as JSON shows them, without stamps and flags.
     fn numbers(ty: &Type, value: &serde_json::Value, all: &mut Vec<f64>) {
         match ty {
             Type::Prim(Prim::Stamp | Prim::Bool) | Type::Text { .. } | Type::Enum(_) => {}
@@ -154,7 +155,7 @@ mod tests {
         fn a_range_holds_for_every_number_however_deep_it_lies(ty in types(), seed: u64) {
             let mut random = Dice(seed);
             let bytes = (0..ty.size()).map(|_| random.roll(256) as u8).collect();
-            // As a plugin would have it: lengths and flags that can be.
+            // As a plugin would have it: with possible lengths and flags.
             let Ok(value) = decode(&ty, &tidied(&ty, bytes, &mut random)) else { return Ok(()) };
             let bytes = encode(&ty, &value).unwrap();
             let arg = Arg {
@@ -175,7 +176,7 @@ mod tests {
     struct Dice(u64);
 
     impl Dice {
-        /// Below `n`.
+        /// A number below `n`.
         fn roll(&mut self, n: u64) -> u64 {
             self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (self.0 >> 33) % n

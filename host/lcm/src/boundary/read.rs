@@ -24,7 +24,7 @@ pub(crate) struct ReadTarget {
     pub(crate) range: Option<RangeCheck>,
 }
 
-/// Who answers a read.
+/// Responder of a read.
 #[derive(Clone)]
 pub(crate) enum Reader {
     /// The class, from the published row.
@@ -36,7 +36,7 @@ pub(crate) enum Reader {
 impl ReadTarget {
     #[inline(never)]
     pub(super) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
-        // A read that nobody takes the result of does nothing: even when only sent, it needs the place.
+        // A read whose result nobody takes does nothing: even when only sent, it needs the place.
         if lacks(arg, self.arg_bytes) || lacks(ret, self.ret_bytes) {
             return INVALID_ARGUMENT;
         }
@@ -60,13 +60,14 @@ impl ReadTarget {
         outcome
     }
 
-    // Apart, so that the common way stays small.
+    // Kept apart, so that the common way stays small.
     #[inline(never)]
     fn is_in_range(&self, arg: *const u8) -> bool {
         self.range.as_ref().is_none_or(|range| range.holds(arg))
     }
 
-    /// `ret` is the place for the result, and there where it has one.
+    /// Answers a read of the system interface. `ret` is the place for the result, and not null where the read
+    /// has one.
     #[inline(never)]
     fn read_system(&self, which: usize, ret: *mut u8) -> u64 {
         // SAFETY: not null, and with room for the command's result type, checked when bound.
@@ -75,19 +76,19 @@ impl ReadTarget {
     }
 }
 
-/// What came of a read for somebody in another process.
+/// Outcome of a read for a caller in another process.
 pub(crate) struct Published {
     pub(crate) outcome: Outcome,
-    /// It panicked.
+    /// True when the read panicked.
     pub(crate) panicked: bool,
-    /// Of the row, ns.
+    /// Stamp of the row, ns.
     pub(crate) stamp_ns: u64,
     /// Bytes of the sentence.
     pub(crate) text_bytes: usize,
 }
 
-/// The result of a read, and a sentence as far as there is room. `arg` and `out` have the sizes of the command. `again`: it panicked last
-/// time, which was counted. Any thread, never waits.
+/// Answers a read, with as much of the sentence as there is room for. `arg` and `out` have the sizes of the
+/// command. `again`: the read panicked last time too, which was counted. Any thread, never waits.
 pub(crate) fn read_published(
     server: &Instance,
     from: &Reader,
@@ -119,8 +120,8 @@ pub(crate) fn read_published(
     Published { outcome, panicked, stamp_ns, text_bytes: err.len.min(text.len()) }
 }
 
-/// Words of the stack copies a read chooses from: the smallest that holds the row, so nothing is allocated on a step and
-/// little is cleared in vain.
+/// Words of the stack copies a read chooses from: the smallest one that holds the row is taken, so that
+/// nothing is allocated on a step and few words are cleared needlessly.
 const FEW_WORDS: usize = 8;
 const TINY_ROW: usize = 32;
 const SMALL_ROW: usize = 128;
@@ -158,7 +159,7 @@ fn read_apart<const N: usize>(
     read_copy::<N>(server, command, arg, ret, err)
 }
 
-/// `f` with a place on the stack for a row of so many bytes: zeroed, in whole words.
+/// Calls `f` with a place on the stack for a row of so many bytes: zeroed, in whole words.
 #[inline]
 pub(super) fn with_row<R>(bytes: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
     match bytes.div_ceil(8) {
@@ -184,7 +185,8 @@ pub(super) fn bytes_of(row: &mut [u64], bytes: usize) -> &mut [u8] {
     unsafe { std::slice::from_raw_parts_mut(row.as_mut_ptr().cast::<u8>(), bytes) }
 }
 
-/// The read on a copy of the newest row in `N` words of the stack; the row fits, by `convert`'s limit.
+/// Answers the read from a copy of the newest row in `N` words of the stack; the row fits, by `convert`'s
+/// limit.
 #[inline]
 fn read_copy<const N: usize>(
     server: &Instance,
@@ -207,7 +209,8 @@ fn read_copy<const N: usize>(
     (outcome_of(status, err), info.stamp_ns)
 }
 
-/// A read has no instance that could be distrusted: its caller is told, and it is counted; the watchdog tells the world.
+/// Counts a read that panicked. A read has no instance that could be distrusted: its caller is told, and the
+/// watchdog tells the world.
 #[cold]
 fn panicked(server: &Instance, command: u32, err: *mut ErrBuf) {
     let ports = server.ports();

@@ -1,8 +1,8 @@
-//! Things that the host gave to a component that is gone, kept for a while: a handle that its code still
-//! holds, in a static or a thread, is answered that nobody is connected instead of leading to memory of
+//! Handles that the host gave to a component that is gone, kept for a while: if its code still uses one, in a
+//! static or a thread, the answer is that nobody is connected, and the handle does not lead to memory of
 //! others.
 //!
-//! Invariant: what is kept holds nothing of others: no connection, no frame, no sample.
+//! Invariant: the kept objects hold nothing of others: no connection, no frame, no sample.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use super::host_table::{HostContext, SharedTable};
 use super::ports::Slots;
 
-/// Ports that are kept, those of the system interface included: the oldest make room. See ADR 0026 for what
-/// they cost.
+/// Most ports that are kept, those of the system interface included: the oldest make room. See ADR 0026 for
+/// their cost.
 const MOST_PORTS: usize = 16_384;
 
 /// The host table and the ports of one component.
@@ -26,18 +26,17 @@ impl Remains {
     }
 }
 
-/// Remains of the components that went last.
+/// Remains of the last components that were removed.
 #[derive(Default)]
 pub(crate) struct AllRemains {
     kept: Mutex<VecDeque<Remains>>,
-    /// Ports of those that are kept behind which others' things still stand: a cycle was under way that
-    /// may look at them.
+    /// Kept ports that still hold objects of others: a cycle was under way that may look at them.
     in_use: Mutex<Vec<Weak<Slots>>>,
 }
 
 impl AllRemains {
-    /// Takes what its component leaves, and all that others own out of it; true when a cycle may still
-    /// look at some of that, so that [`AllRemains::reclaim`] has to come by. Not real-time.
+    /// Takes the remains of a component, and removes from them all that belongs to others; true when a cycle
+    /// may still look at some of that, so that [`AllRemains::reclaim`] must be called. Not real-time.
     pub(crate) fn take(
         &self,
         host: &Arc<HostContext>,
@@ -60,13 +59,13 @@ impl AllRemains {
             oldest.push(remains);
         }
         drop(all);
-        // Outside the lock: that may take a while.
+        // Outside the lock: this may take a while.
         drop(oldest);
         again
     }
 
-    /// Drops what cycles looked at when its component went, and no longer do; how many sets of ports
-    /// are left. Managers only.
+    /// Drops objects that cycles still looked at when their component was removed, and no longer do; returns
+    /// how many sets of ports are left. Managers only.
     pub(crate) fn reclaim(&self) -> usize {
         let list = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
         let before = list().clone();

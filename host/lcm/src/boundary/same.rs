@@ -1,7 +1,8 @@
-//! What stays the same from one description of a component to the next: ports, and members of interfaces.
+//! Parts that stay the same from one description of a component to the next: ports, and members of
+//! interfaces.
 //!
-//! Invariant: a member is found by the names of its interface and its own, and is the same only where nothing a peer relies on
-//! differs; what it says about itself may.
+//! Invariant: a member is found by the name of its interface and its own name. It is the same only where
+//! nothing a peer relies on differs; its documentation may differ.
 
 use trocar_model::{Command, Event, Function, Handler, PortType, Ports, Provided};
 
@@ -17,7 +18,7 @@ fn same_type(a: &PortType, b: &PortType) -> bool {
     }
 }
 
-/// The same output in two descriptions: name and type; what it says about itself may differ.
+/// Tells whether two descriptions have the same output: name and type; the documentation may differ.
 pub(crate) fn same_output(a: &trocar_model::Output, b: &trocar_model::Output) -> bool {
     a.name == b.name && same_type(&a.ty, &b.ty)
 }
@@ -27,7 +28,7 @@ pub(crate) fn same_input(a: &trocar_model::Input, b: &trocar_model::Input) -> bo
     a.name == b.name && same_type(&a.ty, &b.ty)
 }
 
-/// The same required interface: name and members, in the same order.
+/// Tells whether two required interfaces are the same: name and members, in the same order.
 pub(crate) fn same_required(a: &trocar_model::Required, b: &trocar_model::Required) -> bool {
     let plain = |r: &trocar_model::Required| {
         let mut r = r.clone();
@@ -39,7 +40,7 @@ pub(crate) fn same_required(a: &trocar_model::Required, b: &trocar_model::Requir
     plain(a) == plain(b)
 }
 
-/// The same provided interface: name and members, in the same order.
+/// Tells whether two provided interfaces are the same: name and members, in the same order.
 pub(crate) fn same_provided(a: &trocar_model::Provided, b: &trocar_model::Provided) -> bool {
     let plain = |p: &trocar_model::Provided| {
         let mut p = p.clone();

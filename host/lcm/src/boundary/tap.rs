@@ -1,7 +1,7 @@
-//! What taps tell: one sample for each row, event and command, to whoever is connected.
+//! Samples of taps: one for each row, event and command, to every connected reader.
 //!
-//! Invariant: a tap never waits and changes nothing for the component it is at: no outcome, no count of its own. While nobody was ever
-//! connected it costs one relaxed load.
+//! Invariant: a tap never waits and changes nothing for its component: no outcome, no count. Until a reader
+//! is connected for the first time it costs one relaxed load.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -57,22 +57,23 @@ impl CommandTap {
         self.cell.is_listened()
     }
 
-    /// A command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. `of` is the
-    /// component, whose tap this is, where it was this thread that ran it. Any thread. Real-time.
+    /// Tells that a command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. `of`
+    /// is the component of this tap, if this thread ran the command. Any thread. Real-time.
     #[inline(never)]
     pub(crate) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, of: Option<&Instance>) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept: &[u8] = if whole == 0 || arg.is_null() {
             &[]
         } else {
-            // SAFETY: whoever runs a command lends an argument of its type, as for the command itself.
+            // SAFETY: the thread that runs a command lends an argument of its type, as for the command
+            // itself.
             unsafe { std::slice::from_raw_parts(arg, whole.min(MOST)) }
         };
         let later = of.is_some_and(|instance| instance.object.is_kept_here());
         tell(&self.cell, words(command, outcome, kept, whole), kept, later);
     }
 
-    /// As [`CommandTap::tell`], of an argument that may be of any length: another process put it there.
+    /// As [`CommandTap::tell`], for an argument that may be of any length: another process put it there.
     #[cold]
     pub(crate) fn tell_queued(&self, command: u32, arg: &[u8], outcome: Outcome) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
@@ -81,10 +82,11 @@ impl CommandTap {
     }
 }
 
-/// When this thread's turn ends where it may be told `later`, else at once.
+/// Tells a sample when this thread's turn ends if it may be told `later`, else at once.
 fn tell(tap: &OutCell, words: [u32; 4], kept: &[u8], later: bool) {
     let stamp_ns = os::now_ns();
-    // SAFETY: later is only what was reached through the event's binding in this turn, or is of a component this thread keeps.
+    // SAFETY: `later` is true only for a tap reached through the event's binding in this turn, or for that of
+    // a component this thread keeps.
     if !later || !unsafe { late::told(tap, words, kept, stamp_ns) } {
         tap.tell_now(words, kept, stamp_ns);
     }
@@ -94,7 +96,7 @@ fn words(command: u32, outcome: Outcome, kept: &[u8], whole: usize) -> [u32; 4] 
     [command, outcome.cast_unsigned(), kept.len() as u32, whole as u32]
 }
 
-/// What a status of `command` means, without the sentence.
+/// Outcome of a status of `command`, without the sentence.
 pub(crate) fn plain_outcome(status: Status) -> Outcome {
     match status {
         STATUS_OK => EXECUTED,
@@ -104,13 +106,14 @@ pub(crate) fn plain_outcome(status: Status) -> Outcome {
 }
 
 impl OutCell {
-    /// Somebody was connected to this tap: from then on its samples are numbered, so that none goes missing unnoticed.
+    /// Tells whether a reader was ever connected to this tap: from then on its samples are numbered, so that
+    /// none goes missing unnoticed.
     #[inline(always)]
     pub(crate) fn is_listened(&self) -> bool {
         self.listened.load(Ordering::Relaxed)
     }
 
-    /// A row of the state table, the `row`th that was published. One thread at a time. Real-time.
+    /// Tells a row of the state table, the `row`th that was published. One thread at a time. Real-time.
     #[inline(never)]
     pub(crate) fn tell_row(&self, bytes: &[u8], stamp_ns: u64, row: u64) {
         self.seq.store(row, Ordering::Relaxed);
@@ -118,7 +121,8 @@ impl OutCell {
         self.outs.look(|outs| outs.tell(bytes, &[], Meta { stamp_ns, came_ns: stamp_ns, seq: row }));
     }
 
-    /// An event or command: the words before its payload, and what of that is kept. Any thread. Real-time.
+    /// Tells an event or command: the words before its payload, and the kept part of that payload. Any
+    /// thread. Real-time.
     #[inline(never)]
     pub(crate) fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64) {
         let mut head = [0; HEAD];
@@ -129,7 +133,7 @@ impl OutCell {
         self.total_bytes.fetch_add((HEAD + kept.len()) as u64, Ordering::Relaxed);
         self.outs.look(|outs| {
             if !outs.is_unread() {
-                // As before each sample that leaves: rows this thread owes are out first.
+                // As before each sample that leaves: rows this thread owes are published first.
                 pending::publish();
                 outs.tell(&head, kept, Meta { stamp_ns, came_ns: stamp_ns, seq });
             }

@@ -1,4 +1,4 @@
-//! The boundary as a plugin sees it: outcomes, events, streams, ports that change.
+//! The boundary from a plugin's view: outcomes, events, streams, ports that change.
 
 #![allow(clippy::unwrap_used)]
 

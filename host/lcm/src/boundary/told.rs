@@ -1,7 +1,8 @@
-//! Components of other threads that something was queued for in this thread's turn: marked, and woken, when it ends.
+//! Components of other threads for which this thread's turn has queued something: marked, and woken, when the
+//! turn ends.
 //!
-//! Invariant: the list holds only what stays until the turn's end, and is empty when it ends. A mark is one atomic operation, so
-//! one for all that a cycle has sent is better than one for each.
+//! Invariant: the list holds only instances that stay until the turn's end, and is empty when it ends. A mark
+//! is one atomic operation, so one mark for everything a cycle has sent is better than one for each.
 
 use std::cell::Cell;
 use std::ptr;
@@ -11,7 +12,7 @@ use trocar_rt::turn;
 use super::super::context;
 use super::super::instance::Instance;
 
-/// How many components a turn may have to tell; with more of them it tells at once.
+/// Most components a turn tells at its end; beyond that it tells at once.
 const MOST: usize = 64;
 
 thread_local! {
@@ -19,10 +20,11 @@ thread_local! {
     static TOLD: [Cell<*const Instance>; MOST] = const { [const { Cell::new(ptr::null()) }; MOST] };
 }
 
-/// Tells `instance` that something is there for it: in a turn when that ends, else at once. Real-time.
+/// Tells `instance` that data or calls wait for it: inside a turn at its end, else at once. Real-time.
 ///
 /// # Safety
-/// In a turn of this thread: `instance` was reached through a binding in that very turn, which keeps it to its end.
+/// In a turn of this thread: `instance` was reached through a binding in that very turn, which keeps it to
+/// its end.
 #[inline]
 pub(super) unsafe fn signal(instance: &Instance) {
     if !turn::is_inside() || instance.signals_itself() {
@@ -41,15 +43,17 @@ fn note(instance: &Instance) {
     }
     TOLD.with(|told| told[at].set(instance));
     COUNT.set(at + 1);
-    // Another thread may write its own number over it: then it stands in this list twice, which is no harm.
+    // Another thread may overwrite this number with its own: then the instance stands in this list twice,
+    // which does no harm.
     instance.set_teller(context::executor());
 }
 
-/// Marks all of them and notes whom to wake. In the turn they were told in.
+/// Marks all listed instances and notes the wakes. In the same turn.
 pub(crate) fn flush() {
     for at in 0..COUNT.replace(0) {
         let instance = TOLD.with(|told| told[at].replace(ptr::null()));
-        // SAFETY: by the promise of `signal` it stays until this turn's end, and whoever runs turns comes here before.
+        // SAFETY: by the promise of `signal` it stays until this turn's end, and a thread that runs turns
+        // comes here before.
         let Some(instance) = (unsafe { instance.as_ref() }) else { continue };
         instance.set_teller(0);
         instance.signal();

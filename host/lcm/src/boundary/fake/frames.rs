@@ -1,12 +1,12 @@
-//! Frames of a fake component: numbered ones made, and those of an input passed on.
+//! Frames of a fake component: it makes numbered ones, and passes on those of an input.
 //!
-//! Invariant: the header of a frame is one u64; its bytes are nobody's concern.
+//! Invariant: the header of a frame is one u64; its bytes do not matter.
 
 use trocar_plugin_api::abi::{EXECUTED, IN_SAMPLE, Loan, Outcome, SampleView};
 
 use super::Own;
 
-/// Room for what an input shows.
+/// Room for a view of an input.
 pub(super) fn view() -> SampleView {
     SampleView {
         struct_size: size_of::<SampleView>() as u32,
@@ -31,7 +31,8 @@ impl Own {
             capacity: 0,
             token: 0,
         };
-        // SAFETY: the tests' classes have that output, of frames with a header of u64, and are bound before they run.
+        // SAFETY: the tests' classes have that output, of frames with a header of u64, and are bound before
+        // they run.
         unsafe {
             let slot = *(*self.ports).outputs.add(output);
             let lent = ((*slot).loan)((*slot).ctx, &raw mut loan);
@@ -43,10 +44,11 @@ impl Own {
         }
     }
 
-    /// Passes the next frame of an input on and lets go of it; its number.
+    /// Passes the next frame of an input on and lets go of it; returns its number.
     pub(crate) fn pass(&self, input: usize, output: usize) -> Option<u64> {
         let mut view = view();
-        // SAFETY: the tests' classes have these ports, of frames with a header of u64, and are bound before they run.
+        // SAFETY: the tests' classes have these ports, of frames with a header of u64, and are bound before
+        // they run.
         unsafe {
             let (from, to) = (*(*self.ports).inputs.add(input), *(*self.ports).outputs.add(output));
             if ((*from).next)((*from).ctx, &raw mut view) != IN_SAMPLE {

@@ -1,4 +1,4 @@
-//! Reads worked out from rows that another process wrote, or something else than rows.
+//! Reads computed from rows that another process wrote, or from other bytes.
 #![allow(clippy::unwrap_used)]
 
 use std::ffi::c_void;
@@ -18,7 +18,7 @@ use super::*;
 const FLAGS: usize = 8;
 const ITEMS: usize = 4;
 
-/// As a class sees it: flags, then a list.
+/// The state as a class sees it: flags, then a list.
 #[repr(C)]
 struct Row {
     flags: [u8; FLAGS],
@@ -40,7 +40,7 @@ unsafe extern "C" fn read(
     ret: *mut c_void,
     err: *mut ErrBuf,
 ) -> Status {
-    // SAFETY: a row of the class, checked by whoever calls, as are argument and place of the number.
+    // SAFETY: a row of the class, checked by the caller, as are argument and place of the number.
     unsafe {
         let row = &*row.cast::<Row>();
         if row.flags.iter().any(|flag| *flag > 1) || row.len > ITEMS as u64 {
@@ -131,7 +131,7 @@ fn ports(commands: Vec<Command>) -> Ports {
     Ports { provided: vec![provided], state: Some(state()), ..Ports::default() }
 }
 
-/// A class whose table has nothing but reads.
+/// A class whose table has only reads.
 fn own() -> OwnClass {
     // SAFETY: a table of null entries but the size, which `Hot` asks for, and the read.
     let mut table: ClassTable = unsafe { std::mem::zeroed() };
@@ -189,7 +189,7 @@ impl Scene {
         OwnRead::new(&self.seen, at, &commands()[id as usize], &self.own, &told)
     }
 
-    /// The server's process gives the first, second … of the reads made this number.
+    /// Sets the number that the server's process gives to the first, second … of the reads that were made.
     fn number(&self, read: usize, word: u64) {
         self.numbers.own_reads[read].set(word);
     }
@@ -247,7 +247,8 @@ fn a_number_of_another_command_is_asked_for() {
     assert!(call(&scaled, 1.0).is_none());
 }
 
-/// A description is what another process says of itself: the class may take and give something else under a number it names.
+/// A description comes from the other process: the class may have other argument and result types under a
+/// number it names.
 #[test]
 fn a_number_of_a_described_command_has_room_for_whatever_the_class_means_by_it() {
     let mut scene = Scene::set();
@@ -258,7 +259,7 @@ fn a_number_of_a_described_command_has_room_for_whatever_the_class_means_by_it()
     scene.publish(&row(&[1.0, 1.0]));
     scene.number(0, u64::from(WHOLE) + 1);
     assert_eq!(call(&scaled, 5.5).unwrap(), (EXECUTED, 5.5, String::new()), "its own argument came back");
-    // Its own number is told to be that of the first, which takes nothing.
+    // The number is now that of the class's first command, which has no argument.
     scene.number(0, u64::from(SUM) + 1);
     assert_eq!(call(&scaled, 5.5).unwrap(), (EXECUTED, 2.0, String::new()));
 }

@@ -1,4 +1,4 @@
-//! The frame pools of an output: where the frames of its loans come from.
+//! The frame pools of an output: the source of the frames of its loans.
 //!
 //! Invariant: a pool stays as long as a frame of it is out; one lends, the others only wait for their frames.
 
@@ -10,8 +10,8 @@ use trocar_plugin_api::abi::Loan;
 use trocar_rt::os::OsError;
 use trocar_rt::pool::{FrameMut, FramePool, PoolFile};
 
-use super::super::running;
-use super::{OutCell, slots};
+use super::super::{room, running};
+use super::OutCell;
 
 /// The pools of one output.
 #[derive(Clone, Default)]
@@ -19,7 +19,7 @@ pub(super) struct Pools {
     pub(super) lends: Option<Arc<FramePool>>,
     /// Counts the pools before the one that lends.
     number: u64,
-    /// Pools before it, of which frames may still be out.
+    /// Earlier pools, of which frames may still be out.
     pub(super) earlier: Vec<Arc<FramePool>>,
 }
 
@@ -34,7 +34,7 @@ impl OutCell {
         Ok(())
     }
 
-    /// Says of the component whose code runs here, and whose output this is, that it got no pool.
+    /// Warns the component whose code runs here, and whose output this is, that it got no pool.
     pub(super) fn tell_refused(&self, asked: &str) {
         let told = running(|instance| {
             let set = instance.described.now();
@@ -46,7 +46,7 @@ impl OutCell {
         }
     }
 
-    /// Another pool, or none, lends from now on. The one before stays at least until the next
+    /// Makes another pool, or none, lend from now on. The one before stays at least until the next
     /// [`OutCell::reclaim`].
     pub(super) fn change_pool(&self, lends: Option<Arc<FramePool>>) {
         let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
@@ -72,7 +72,7 @@ impl OutCell {
         }
     }
 
-    /// Locks the pool it lends from into memory, once; why it could not. Managers only.
+    /// Locks the lending pool into memory, once; returns the reason of a failure. Managers only.
     pub(in crate::boundary) fn lock_pool(&self) -> Option<OsError> {
         let Pools { lends, number, .. } = self.pools.enter().clone();
         let pool = lends?;
@@ -84,26 +84,27 @@ impl OutCell {
 
     /// The frame of a loan that comes back; `None` when it is no loan of this output, or came back already.
     pub(super) fn take_back(&self, loan: *mut Loan) -> Option<FrameMut> {
-        if !slots::is_whole(loan) {
+        // SAFETY: null, or lent for the call.
+        if !unsafe { room::is_lent(loan) } {
             return None;
         }
-        // SAFETY: whole, and lent for the call.
+        // SAFETY: lent for the call; the first Loans had a token.
         let token = std::mem::take(unsafe { &mut (*loan).token });
         self.pools.look(|pools| {
             pools.lends.iter().chain(&pools.earlier).any(|p| p.is_descriptor(token)).then(|| {
-                // SAFETY: the number of a slot of a pool that is alive here, which asks whether it is good.
+                // SAFETY: the number of a slot of a pool that is alive here, which checks whether it is good.
                 unsafe { FrameMut::from_raw(token) }
             })
         })?
     }
 
-    /// The part of its pool that is lent now; `None` without a pool.
+    /// Figures of the pool that lends now; `None` without a pool.
     #[cfg(test)]
     pub(crate) fn pool(&self) -> Option<trocar_rt::PoolStats> {
         self.pools.enter().lends.as_ref().map(|pool| pool.stats())
     }
 
-    /// Frames a loan was refused for, by whichever pool.
+    /// Loans that were refused, over all pools.
     pub(crate) fn exhausted(&self) -> u64 {
         self.exhausted.load(Ordering::Relaxed)
     }

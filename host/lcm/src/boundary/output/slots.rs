@@ -1,6 +1,6 @@
 //! The slots through which a plugin writes to its outputs.
 //!
-//! Invariant: nothing that a plugin hands over is read before it is known to be whole.
+//! Invariant: data that a plugin hands over are not read before they are known to be whole.
 
 use std::ffi::c_void;
 use std::sync::atomic::Ordering;
@@ -11,11 +11,11 @@ use trocar_plugin_api::abi::{
 };
 
 use super::super::super::context;
-use super::super::input;
+use super::super::{input, room};
 use super::{OutCell, Outs};
 
-/// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as the
-/// instance that owns the slots. Pointers handed over live for the call.
+/// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as
+/// the instance that owns the slots. Pointers handed over live for the call.
 fn out_cell<'a>(ctx: *mut c_void) -> &'a OutCell {
     // SAFETY: see above.
     unsafe { &*ctx.cast::<OutCell>() }
@@ -34,7 +34,8 @@ pub(in crate::boundary) unsafe extern "C" fn write(
         if outs.shape.frame {
             return INVALID_ARGUMENT;
         }
-        // SAFETY: the caller lends a value of the output's type; one without a type of its own has asked `type_of`.
+        // SAFETY: the caller lends a value of the output's type; a caller without a type of its own has asked
+        // `type_of`.
         match unsafe { lent(value.cast(), outs.shape.bytes) } {
             Some(value) => cell.publish_plain(outs, value, stamp_ns),
             None => INVALID_ARGUMENT,
@@ -42,7 +43,7 @@ pub(in crate::boundary) unsafe extern "C" fn write(
     })
 }
 
-/// As `write`, with the size compared with the type that is behind the output now.
+/// As `write`, but compares the size with the type that is behind the output now.
 pub(in crate::boundary) unsafe extern "C" fn write_bytes(
     ctx: *mut c_void,
     value: Bytes,
@@ -55,7 +56,7 @@ pub(in crate::boundary) unsafe extern "C" fn write_bytes(
     }
 }
 
-/// The bytes a caller lends; `None` where it lends none although there should be some, or more than can be.
+/// The bytes a caller lends; `None` where it lends none although there should be some, or more than possible.
 ///
 /// # Safety
 /// `bytes` readable bytes at `ptr`, unless that is null.
@@ -70,11 +71,12 @@ unsafe fn lent<'a>(ptr: *const u8, bytes: usize) -> Option<&'a [u8]> {
 
 pub(in crate::boundary) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outcome {
     let cell = out_cell(ctx);
-    if !is_whole(loan) {
+    // SAFETY: null, or lent for the call.
+    if !unsafe { room::is_lent(loan) } {
         return INVALID_ARGUMENT;
     }
     let lent = || cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan()));
-    // What readers in other processes have done with is noticed when it is needed.
+    // Frames released by readers in other processes are collected only when one is needed.
     let Some(frame) = lent().or_else(|| {
         cell.collect();
         lent()
@@ -90,8 +92,8 @@ pub(in crate::boundary) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut L
         capacity: frame.capacity() as u64,
         token: frame.into_raw(),
     };
-    // SAFETY: the caller lends room for a Loan.
-    unsafe { loan.write(lent) };
+    // SAFETY: lent, as seen above.
+    unsafe { room::fill(loan, lent) };
     EXECUTED
 }
 
@@ -106,18 +108,12 @@ pub(in crate::boundary) unsafe extern "C" fn commit(
     if len > frame.capacity() as u64 {
         return INVALID_ARGUMENT;
     }
-    // Lent under another type, perhaps: that is asked there.
+    // The frame may have been lent under another type: `forward_frame` checks that.
     cell.forward_frame(frame.freeze(len as usize), stamp_ns)
 }
 
 pub(in crate::boundary) unsafe extern "C" fn cancel(ctx: *mut c_void, loan: *mut Loan) {
     drop(out_cell(ctx).take_back(loan));
-}
-
-/// The caller lends room for a whole Loan.
-pub(super) fn is_whole(loan: *const Loan) -> bool {
-    // SAFETY: null, or a struct that begins with its size.
-    !loan.is_null() && unsafe { (&raw const (*loan).struct_size).read() } as usize >= size_of::<Loan>()
 }
 
 pub(in crate::boundary) unsafe extern "C" fn forward(
@@ -134,7 +130,7 @@ pub(in crate::boundary) unsafe extern "C" fn forward(
     passed.unwrap_or(INVALID_ARGUMENT)
 }
 
-/// Frames of the largest pool.
+/// Most frames of a pool.
 const MOST_SLOTS: u32 = 4096;
 
 pub(in crate::boundary) unsafe extern "C" fn reserve(

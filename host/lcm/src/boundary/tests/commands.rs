@@ -59,7 +59,7 @@ pub(super) fn obeys() -> Script {
     }
 }
 
-/// A server whose commands wait for a word of the test; the test hears when one has begun.
+/// A server whose commands wait for a word of the test; the test is told when one has begun.
 fn held_up() -> (Script, mpsc::Receiver<()>, mpsc::Sender<()>) {
     let (begun, heard) = mpsc::channel();
     let (go, wait) = mpsc::channel::<()>();
@@ -183,7 +183,7 @@ fn an_actuator_carries_out_no_goal_from_before_a_standstill() {
         };
         let mut ports = server();
         ports["safety"] = safety.into();
-        // Patience enough to stand still inside a command.
+        // Patience enough to wait inside a command.
         let patient = Execution { max_step_ns: Some(60_000_000_000), ..on_signal() };
         world.active(
             "server",
@@ -272,7 +272,8 @@ fn a_call_whose_deadline_has_passed_is_not_begun_although_its_caller_still_waits
     }
 }
 
-/// Its caller saw it ACTIVE, then it was stopped and what was queued was answered, and only then the caller came to the queue.
+/// The caller saw the server ACTIVE; then the server was stopped and its queued calls were answered; only
+/// then the caller came to the queue.
 #[test]
 fn a_call_that_comes_to_the_queue_after_its_server_was_stopped_is_answered_although_its_thread_is_held_up() {
     let Busy { world, client, go, .. } = &Busy::new("overtaken");
@@ -288,7 +289,7 @@ fn a_call_that_comes_to_the_queue_after_its_server_was_stopped_is_answered_altho
         let crate::boundary::FnBinding::Command(twice) = &target else { panic!("it is a command") };
         let (arg, mut ret) = (2u64, 0u64);
         let (arg, ret) = ((&raw const arg).cast(), (&raw mut ret).cast());
-        // Longer than the test would wait, were it not answered.
+        // Longer than the test would wait if the call were not answered.
         let overtaken = twice.queue(arg, ret, MODE_CALL, 3_000_000_000, None);
         go.send(()).unwrap();
         assert_eq!(overtaken, NOT_ACTIVE);

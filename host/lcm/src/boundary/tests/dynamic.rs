@@ -73,7 +73,7 @@ fn what_was_queued_for_a_port_that_stays_is_executed_and_for_one_that_went_is_di
         std::sync::Arc::new(crate::dynamic::PortSet::new(fewer, Some(&instance.described.now())).unwrap());
     std::thread::scope(|scope| {
         let (kept, lost) = {
-            // While somebody is inside, calls wait in their queues.
+            // While a thread is inside, calls wait in their queues.
             let inside = eventually_inside(&instance);
             let kept = scope.spawn(|| caller.ask(TWICE, 2));
             let lost = scope.spawn(|| second.ask(TWICE, 3));

@@ -1,4 +1,4 @@
-//! What is bounded stays bounded and is counted: drains, queues that are cut, pools of frames.
+//! Limits hold and losses are counted: drains, queues that are cut, pools of frames.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -13,7 +13,7 @@ use super::commands::{POKE, client, server};
 use super::puppet::*;
 use super::world::*;
 
-/// Where a command finds the client that floods its server.
+/// The client that floods its server, for the server's command.
 type Flooder = Arc<OnceLock<&'static Stage>>;
 
 /// A first step or event that waits for a word of the test.
@@ -59,7 +59,7 @@ fn a_client_that_sends_one_more_for_each_command_that_runs_keeps_its_server_from
     go.send(()).unwrap();
     eventually("the flood's end", || server.seen().last() == Some(&43));
     let steps = server.seen();
-    // What was there, and once what came meanwhile: twice three, then a step.
+    // The calls already there, and once those that came meanwhile: twice three, then a step.
     assert_eq!(steps[..4], [0, 6, 12, 18], "{steps:?}");
 }
 
@@ -83,7 +83,7 @@ fn a_caller_of_a_passive_server_that_is_flooded_comes_back_and_the_servers_own_t
     flooder.set(client).unwrap_or_else(|_| panic!("set once"));
     assert_eq!(client.send(POKE, 0), EXECUTED, "and it came back");
     let here = |threads: &[ThreadId]| threads.iter().filter(|id| **id == current().id()).count();
-    // Its own, then twice what was there and once what came meanwhile.
+    // Its own call, then twice those already there and once those that came meanwhile.
     assert_eq!(here(&ran.lock().unwrap()), 5);
     eventually("the others, on another thread", || ran.lock().unwrap().len() > 100);
     assert_eq!(here(&ran.lock().unwrap()), 5, "nobody else's commands later on");
@@ -262,7 +262,8 @@ fn a_sample_stamped_ahead_of_time_does_not_hide_that_nothing_comes_after_it() {
     }
 }
 
-/// A clock that is ahead, a queue, and a reader that stood still: what waited is as old as it has waited.
+/// A clock that is ahead, a queue, and a reader that did not look: a sample is as old as its wait in the
+/// queue.
 #[test]
 fn a_sample_stamped_ahead_of_time_grows_old_in_a_queue_although_newer_ones_come() {
     const MAX_AGE_NS: u64 = 20_000_000;
@@ -271,7 +272,7 @@ fn a_sample_stamped_ahead_of_time_grows_old_in_a_queue_although_newer_ones_come(
         let plain = json!({"name": "x", "type": {"plain": "u64"}});
         let queue = json!({"name": "x", "type": {"plain": "u64"}, "fifo": 4});
         let source = world.active("source", &json!({"outputs": [plain]}), on_signal(), Script::default());
-        // It never steps of itself, as if it were frozen: the test looks in its place.
+        // The sink never steps by itself, as if it were frozen: the test looks in its place.
         let sink = world.active("sink", &json!({"inputs": [queue]}), passive(), Script::default());
         let options = ConnectOptions {
             queue: Some(Queue::Fifo { depth: 4, drop_oldest: true }),

@@ -1,4 +1,5 @@
-//! What a plugin may pass by mistake: pointers to nothing, structs of another size, loans and views of somebody else.
+//! Mistakes a plugin may make: pointers to nothing, structs of another size, loans and views of another
+//! component.
 
 use std::ffi::c_void;
 use std::ptr::{null, null_mut};
@@ -24,7 +25,7 @@ fn raw(
 ) -> Outcome {
     let slot = stage.function(function);
     let opts = opts.map_or(null_mut(), std::ptr::from_mut);
-    // SAFETY: a slot of the stage; what is not null has the size that is asked for.
+    // SAFETY: a slot of the stage; every pointer that is not null has the right size behind it.
     unsafe { (slot.call)(slot.ctx, arg.cast(), ret.cast(), opts) }
 }
 
@@ -106,7 +107,7 @@ fn a_payload_or_value_that_points_nowhere_is_invalid() {
         json!({"provided": server()["provided"], "outputs": [{"name": "out", "type": {"plain": "u64"}}]});
     let source = world.active("source", &ports, on_signal(), obeys());
     let slot = source.output(0);
-    // SAFETY: slots of this instance; null is what is asked about.
+    // SAFETY: slots of this instance; null pointers are what is tested.
     unsafe {
         assert_eq!((slot.write)(slot.ctx, null(), 0), INVALID_ARGUMENT);
         for bytes in [Bytes { ptr: null(), len: 8 }, Bytes { ptr: 8 as *const u8, len: usize::MAX }] {
@@ -229,7 +230,7 @@ fn a_view_is_good_only_for_what_its_own_input_shows() {
     assert_eq!(relay.forward(0, &a), EXECUTED);
     assert_eq!(sink.next(0, 8).unwrap().bytes, b"frame");
     let (slot, out) = (relay.input(0), relay.output(0));
-    // SAFETY: slots of this instance; null is what is asked about.
+    // SAFETY: slots of this instance; null pointers are what is tested.
     unsafe {
         assert_eq!((slot.latest)(slot.ctx, null_mut()), INVALID_ARGUMENT);
         assert_eq!((slot.next)(slot.ctx, &mut SampleView { struct_size: 4, ..no_view() }), INVALID_ARGUMENT);
@@ -267,7 +268,7 @@ fn a_state_that_is_no_value_of_its_type_is_refused_by_component_field_and_reason
     use crate::{Lcm, When};
     let world = World::new("no-value");
     let robot = world.active("robot", &json!({"state": {"ref": "Named"}}), on_signal(), Script::default());
-    // The length of a text of which there are 8 bytes.
+    // The value is the length of a text that has room for 8 bytes.
     robot.state.store(99, std::sync::atomic::Ordering::SeqCst);
     world.run("robot", trocar_model::Verb::Stop).unwrap();
     world.run("robot", trocar_model::Verb::Resume).unwrap();
@@ -304,7 +305,7 @@ fn frame_pools_are_locked_into_memory_once_or_it_is_said_why_not() {
     assert_eq!(instance.warnings(), warnings, "it is asked for once");
 }
 
-/// How much of the mapping at that address is locked, KiB.
+/// Locked part of the mapping at that address, KiB.
 fn locked_kib(address: usize) -> u64 {
     let maps = std::fs::read_to_string("/proc/self/smaps").unwrap();
     let mut here = false;

@@ -1,4 +1,4 @@
-//! A component class by hand, whose entries do what a test says.
+//! A hand-made component class whose entries do what a test says.
 //!
 //! Invariant: everything goes through the tables a plugin has: class table in, slots and host table out.
 
@@ -19,7 +19,7 @@ type Act = Box<dyn Fn(&Stage) -> Status + Send + Sync>;
 type Told = Box<dyn Fn(&Stage, u32, u64) -> Status + Send + Sync>;
 type Asked = Box<dyn Fn(&Stage, u32, u64) -> Result<u64, Status> + Send + Sync>;
 
-/// What the entries of one component do.
+/// Actions of one component's entries.
 #[derive(Default)]
 pub(super) struct Script {
     pub(super) step: Option<Act>,
@@ -28,17 +28,17 @@ pub(super) struct Script {
     pub(super) command: Option<Asked>,
     /// Handler id and payload.
     pub(super) on_event: Option<Told>,
-    /// What `describe` writes; the class offers none while it is empty.
+    /// Text that `describe` writes; while it is empty the class offers no description.
     pub(super) described: Mutex<String>,
 }
 
-/// One instance: what it was given by the host, and a state of one u64.
+/// One instance: the host's tables for it, and a state of one u64.
 pub(super) struct Stage {
     script: Arc<Script>,
     host: AtomicPtr<HostTable>,
     ports: AtomicPtr<Ports>,
     pub(super) state: AtomicU64,
-    /// Whatever its entries noted.
+    /// Values that its entries noted.
     pub(super) seen: Mutex<Vec<u64>>,
 }
 
@@ -193,7 +193,7 @@ static TABLE: Table = Table(ClassTable {
     extension: None,
 });
 
-/// Of a class with neither ports nor state.
+/// Table of a class with neither ports nor state.
 static MUTE_TABLE: Table = Table(ClassTable {
     struct_size: size_of::<ClassTable>() as u32,
     flags: 0,
@@ -236,7 +236,7 @@ pub(super) fn mute_class() -> LoadedClass {
     unsafe { LoadedClass::new(&raw const MUTE_TABLE.0, Arc::new(())) }
 }
 
-/// Says what the instance of this name will do; before it is created.
+/// Sets the script of the instance of this name; before it is created.
 pub(super) fn enrol(id: &ComponentId, script: Script) {
     SCRIPTS.lock().unwrap().insert(id.to_string(), Arc::new(script));
 }
@@ -251,7 +251,7 @@ pub(super) fn stage_of(id: &ComponentId) -> &'static Stage {
     stage(address as *mut c_void)
 }
 
-/// What a call came to.
+/// Result of a call.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Called {
     pub(super) outcome: Outcome,
@@ -303,7 +303,7 @@ unsafe extern "C" fn collect(ctx: *mut c_void, bytes: Bytes) {
 
 impl Stage {
     fn ports(&self) -> &Ports {
-        // SAFETY: what `bind` gave, valid until the next `bind`.
+        // SAFETY: the table that `bind` gave, valid until the next `bind`.
         unsafe { &*self.ports.load(Ordering::Acquire) }
     }
 
@@ -401,7 +401,7 @@ impl Stage {
         }
     }
 
-    /// The next sample, whose header or value has `size` bytes, and what `f` makes of its view.
+    /// The next sample, whose header or value has `size` bytes, and the result of `f` for its view.
     pub(super) fn next_with<R>(
         &self,
         input: usize,

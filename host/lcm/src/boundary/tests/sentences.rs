@@ -1,4 +1,4 @@
-//! What a plugin writes into an error buffer, and how long it says that is.
+//! Error buffers written by a plugin: the text, and the length it gives.
 
 use trocar_plugin_api::abi::{ErrBuf, STATUS_FAILED, STATUS_PANICKED};
 

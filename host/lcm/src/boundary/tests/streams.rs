@@ -1,4 +1,4 @@
-//! Streams: untyped ends, layouts adapted by name, frames passed on, a failed filter that is passed by.
+//! Streams: untyped ends, layouts adapted by name, frames passed on, a failed filter that is bypassed.
 
 use serde_json::{Value, json};
 use trocar_model::{Change, ConnectOptions, Queue, Refusal};
@@ -56,7 +56,7 @@ fn no_two_connections_of_an_input_are_told_apart_by_the_same_number() {
     let source = world.active("source", &source, on_signal(), Script::default());
     let sink = world.active("sink", &inputs(&[("any", json!("any"))]), on_signal(), Script::default());
     let mut seen = std::collections::BTreeSet::new();
-    // Memory of a connection that went is used again for the next one, sooner or later.
+    // Memory of a removed connection is used again for a later one, sooner or later.
     for round in 0..200 {
         let (output, name, len) = if round % 2 == 0 { (0, "source/ab", 2) } else { (1, "source/ba", 3) };
         let connection = world.connect("sink/any", name);
@@ -64,7 +64,7 @@ fn no_two_connections_of_an_input_are_told_apart_by_the_same_number() {
         let (_, token) = sink.next_with(0, 8, |view| view.token).expect("a sample has come");
         assert!(seen.insert(token), "round {round}: another connection was {token}, too");
         world.cut(&connection);
-        // The input shows nothing of it any more, and lets it go.
+        // The input shows no more samples of it, and lets it go.
         assert!(sink.next(0, 16).is_none());
     }
 }
@@ -158,7 +158,7 @@ fn another_layout_is_copied_by_name_where_the_connection_allows_it() {
     };
     assert!(matches!(connect(false), Err(Refusal::TypeMismatch { .. })));
     connect(true).unwrap();
-    // b, c, a there; a, b here.
+    // Fields b, c, a in the source; a, b in the sink.
     source.write(0, &bytes(&[2.0, 9.0, 1.0]));
     source.write(0, &bytes(&[4.0, 9.0, 3.0]));
     let (first, second) = (sink.next(0, 16).unwrap(), sink.next(0, 16).unwrap());

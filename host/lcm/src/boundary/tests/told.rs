@@ -1,4 +1,5 @@
-//! What a step sends to other threads: everybody is told once it has ended, however many they are.
+//! Events that a step sends to other threads: all observers are told once it has ended, however many there
+//! are.
 
 use trocar_plugin_api::abi::*;
 

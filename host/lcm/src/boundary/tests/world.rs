@@ -1,6 +1,6 @@
 //! A process full of puppets: an LCM whose every class is the table of [`super::puppet`].
 //!
-//! Invariant: everything goes the way of an LCM's own verbs; a world removes what it made before it ends.
+//! Invariant: everything goes through an LCM's own verbs; a world removes what it made before it ends.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -150,7 +150,7 @@ impl World {
         self.apply(Change::Create { id, component })
     }
 
-    /// What `describe` writes from now on.
+    /// Sets the text that `describe` writes from now on.
     pub(super) fn describes(&self, name: &str, text: String) {
         *script_of(&self.id(name)).described.lock().unwrap() = text;
     }
@@ -207,7 +207,7 @@ impl Drop for World {
     }
 }
 
-/// Waits until `f` holds; for what another thread does soon.
+/// Waits until `f` holds; for results of another thread that come soon.
 pub(super) fn eventually(what: &str, mut f: impl FnMut() -> bool) {
     let mut watchdog = Watchdog::of(what);
     while !f() {
@@ -224,7 +224,7 @@ pub(super) fn passive() -> Execution {
     Execution { model: Some(ExecutionModel::None), ..Execution::default() }
 }
 
-/// On the same thread as `head` (`process/component`), stepping when something is there.
+/// On the same thread as `head` (`process/component`), stepping when signalled.
 pub(super) fn with(head: &ComponentId) -> Execution {
     Execution {
         model: Some(ExecutionModel::Stream),
