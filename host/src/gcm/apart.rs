@@ -1,8 +1,8 @@
-//! Processes for single components: who can make them, and which are wanted.
+//! Processes for single components: supervisors that can make them, and processes that are wanted.
 //!
-//! Invariant: what is wanted is one list, told whole to its supervisors at every change. A process that was
-//! wanted for a request that failed, or whose component was removed, is taken from it again, so none is left
-//! behind.
+//! Invariant: all wanted processes are one list, told whole to its supervisors at every change. A process
+//! that was wanted for a request that failed, or whose component was removed, is taken from it again, so none
+//! is left behind.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,23 +17,23 @@ use super::Gcm;
 use super::execute::{ExecuteOptions, Executed};
 use super::manager::lock;
 
-/// How long a process that is not wanted any more is waited for: its supervisor ends it all the same.
+/// Longest wait for a process that is not wanted any more: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
 
 /// A process for one component alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Apart {
     pub process: Name,
-    /// The one it is made like.
+    /// The process it is made like.
     pub home: Name,
 }
 
-/// What a supervisor says of itself.
+/// Facts a supervisor tells about itself.
 #[derive(Clone, Debug, Default)]
 pub struct Supervisor {
     /// The processes beside which it can make others.
     pub processes: BTreeSet<Name>,
-    /// Those it keeps for isolated components.
+    /// Processes it keeps for isolated components.
     pub apart: Vec<Apart>,
     /// The GCM that wanted those.
     pub term: u64,
@@ -41,17 +41,17 @@ pub struct Supervisor {
 
 #[derive(Default)]
 pub(super) struct Isolation {
-    /// By process: the one it is made like.
+    /// By process: the process it is made like.
     wanted: BTreeMap<Name, Name>,
-    /// Those that listen, by number: beside what they can make others.
+    /// Supervisors that listen, by number, each with the processes beside which it can make others.
     listening: BTreeMap<u64, BTreeSet<Name>>,
     newest: u64,
-    /// Processes that somebody wanted started again, with how often.
+    /// Processes that were asked to be started again, with how often.
     restarts: BTreeMap<Name, u64>,
 }
 
 impl Isolation {
-    /// Whether a supervisor that listens beside these keeps the process.
+    /// Tells whether a supervisor that listens beside these keeps the process.
     fn keeps(&self, homes: &BTreeSet<Name>, process: &Name) -> bool {
         homes.contains(process) || self.wanted.get(process).is_some_and(|home| homes.contains(home))
     }
@@ -72,12 +72,12 @@ pub struct Supervising {
     number: u64,
     all: watch::Receiver<Isolation>,
     told: Option<Vec<Apart>>,
-    /// The restarts that were told it, or asked before it was there.
+    /// Restarts the supervisor was told, or that were asked before it was there.
     restarted: BTreeMap<Name, u64>,
 }
 
 impl Supervising {
-    /// All that is wanted of it: at once, and then whenever that is something else.
+    /// Returns all orders for the supervisor: at once, and then whenever they change.
     pub async fn next(&mut self) -> Wanted {
         loop {
             let now = {
@@ -97,7 +97,7 @@ impl Supervising {
                 self.told = Some(now.apart.clone());
                 return now;
             }
-            // It lives as long as the GCM, which this holds.
+            // The sender lives as long as the GCM, which this holds.
             let _ = self.all.changed().await;
         }
     }
@@ -110,8 +110,8 @@ impl Drop for Supervising {
 }
 
 impl Gcm {
-    /// Takes a supervisor in. What it keeps for a GCM before this one is wanted; what it keeps for this one
-    /// is known better here.
+    /// Takes a supervisor in. Processes it keeps for an earlier GCM are wanted; for those it keeps for this
+    /// GCM, this GCM's own list counts.
     pub fn supervise(&self, who: Supervisor) -> Supervising {
         let (mut number, mut restarted) = (0, BTreeMap::new());
         self.inner.isolation.send_modify(|all| {
@@ -132,7 +132,7 @@ impl Gcm {
         }
     }
 
-    /// Whether somebody is there who makes these.
+    /// Tells whether supervisors are there that make these.
     pub(super) fn can_be_made(&self, apart: &[Apart]) -> Result<(), Refusal> {
         let all = self.inner.isolation.borrow();
         match apart.iter().find(|apart| all.listening.values().all(|homes| !homes.contains(&apart.home))) {
@@ -145,7 +145,7 @@ impl Gcm {
         }
     }
 
-    /// Has them made, and waits until they are here.
+    /// Has the processes made, and waits until they are here.
     ///
     /// # Errors
     /// ProcessNotUp, with how it ended; then all of them are to be ended.
@@ -179,7 +179,7 @@ impl Gcm {
         Ok(())
     }
 
-    /// Why it counts as not up when nothing was heard of it since then.
+    /// Returns the reason why a process counts as not up: it was not heard since then.
     fn not_heard(&self, process: &Name, began: Instant) -> String {
         let within = began.elapsed().as_secs_f64();
         let ended = self.graph().processes.get(process).map(|p| p.last_exit.clone());
@@ -187,8 +187,8 @@ impl Gcm {
         format!("nothing was heard of it within {within:.1} s{}", ended.unwrap_or_default())
     }
 
-    /// Has its supervisor end a process, if it runs, and start it again; waits until it is there with its
-    /// components.
+    /// Has the supervisor of a process end it, if it runs, and start it again; waits until it is there with
+    /// its components.
     ///
     /// # Errors
     /// PROCESS_NOT_FOUND; NOT_SUPERVISED; PROCESS_NOT_UP, with how it ended.
@@ -203,7 +203,7 @@ impl Gcm {
         if let Some(known) = kept_by_none {
             return Err(Refusal::NotSupervised { process: process.clone(), known });
         }
-        // It stops everything when it ends in order; what ran before that is to run again.
+        // A process that ends in order stops its components first; those that ran before are to run again.
         self.edit_if(|graph| {
             lock(&self.inner.sessions).wanted.of(graph, process);
             false
@@ -245,7 +245,7 @@ impl Gcm {
         Err(Refusal::ProcessNotUp { process: process.clone(), why })
     }
 
-    /// A Reset asks for a component whose process was given up: that is started again first.
+    /// Starts the process of a component again that was given up, when a Reset asks for the component.
     ///
     /// # Errors
     /// As [`Gcm::restart`]; without a supervisor the plan says more.
@@ -272,7 +272,7 @@ impl Gcm {
         Ok(())
     }
 
-    /// They are not wanted any more. Waits until they have gone.
+    /// Takes the processes off the list of wanted ones. Waits until they have gone.
     pub(super) async fn end_apart(&self, processes: BTreeSet<Name>) {
         if processes.is_empty() {
             return;
@@ -285,8 +285,8 @@ impl Gcm {
         }
     }
 
-    /// Removes an isolated component whose process is away, by ending that. `None`: nothing of the kind is
-    /// asked.
+    /// Removes an isolated component whose process is away, by ending that process. `None`: no such removal
+    /// is asked.
     ///
     /// # Errors
     /// RevisionConflict; ProcessLost when its supervisor does not answer.
@@ -329,7 +329,7 @@ impl Gcm {
         });
     }
 
-    /// Those of isolated components that the plan has removed.
+    /// Returns the processes of isolated components that the plan has emptied.
     pub(super) fn emptied(&self, plan: &Plan) -> BTreeSet<Name> {
         let (graph, all) = (self.graph(), self.inner.isolation.borrow());
         let left = plan.changes.iter().filter_map(|change| match change {

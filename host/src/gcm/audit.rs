@@ -1,4 +1,4 @@
-//! The audit line: who asked for what, in the request's own JSON, and what came of it.
+//! The audit line: the caller, the request in its own JSON, and the result.
 //!
 //! Invariant: one line per request, bounded; it reads as what `Apply` would take, and never as a debug print.
 
@@ -40,7 +40,7 @@ fn asked(requests: &[Request]) -> String {
     text
 }
 
-/// The first [`MOST`] bytes: a request of some MB costs no more than what is shown of it.
+/// The first [`MOST`] bytes: a request of some MB costs no more than the part that is shown.
 #[derive(Default)]
 struct Cut(Vec<u8>);
 
@@ -57,7 +57,7 @@ impl io::Write for Cut {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let fits = bytes.len().min(MOST - self.0.len());
         self.0.extend_from_slice(&bytes[..fits]);
-        // Nothing fits any more: whoever writes ends here.
+        // Nothing fits any more: the writer ends here.
         Ok(fits)
     }
 
@@ -126,7 +126,7 @@ fn paths<'a>(targets: &[Target]) -> Body<'a> {
     Body::from([("paths", own(targets.iter().map(text).collect::<Vec<_>>()))])
 }
 
-/// What is set, by the names of the system file; nothing when all is left to the class.
+/// Returns the settings by the names of the system file; `None` when all is left to the class.
 fn settings(execution: &Execution) -> Option<Value> {
     let set = spelled(execution).into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
     let set: Map<String, Value> = set.collect();

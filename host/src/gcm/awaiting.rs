@@ -1,7 +1,7 @@
 //! Waiting for an event: until a component sends it, or until it cannot send it any more.
 //!
-//! Invariant: the event is listened for before anything else is done, so nothing sent after that is missed; the waiting
-//! ends by its deadline, and at once when the event cannot come.
+//! Invariant: the event is listened for before anything else is done, so nothing sent after that is missed;
+//! the waiting ends by its deadline, and at once when the event cannot come.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,9 +13,9 @@ use trocar_model::{ComponentId, MemberId, Refusal, State, SystemGraph};
 
 use super::{Gcm, given_ns};
 
-/// An event on its way here when its component is already known to have failed.
+/// Time for an event that is on its way here when its component is already known to have failed.
 const UNDER_WAY: Duration = Duration::from_millis(100);
-/// Before a component that was made anew is listened to again.
+/// Pause before a component that was made anew is listened to again.
 const AGAIN: Duration = Duration::from_millis(5);
 
 /// An event that is listened for.
@@ -32,14 +32,14 @@ impl Gcm {
     /// Listens for an event; nothing that is sent after this returns is missed.
     ///
     /// # Errors
-    /// What is not there is named, and what is; ComponentFault of a component that cannot send.
+    /// An absent member is named, with those that exist; ComponentFault of a component that cannot send.
     pub async fn listen(&self, member: &MemberId, until: Instant) -> Result<Listening, Refusal> {
         let (began, graphs) = (Instant::now(), self.watch());
         let feed = self.feed(member, until).await?;
         Ok(Listening { gcm: self.clone(), member: member.clone(), began, until, graphs, feed })
     }
 
-    /// As soon as the LCM has the component: it may just be making it anew.
+    /// Listens as soon as the LCM has the component: it may just be making it anew.
     async fn feed(&self, member: &MemberId, until: Instant) -> Result<Receiver<Item>, Refusal> {
         let id = &member.port.component;
         loop {
@@ -57,19 +57,20 @@ impl Gcm {
 }
 
 impl Listening {
-    /// The next one.
+    /// Waits for the next event.
     ///
     /// # Errors
-    /// EventNotSeen at the deadline; ComponentFault, ComponentNotFound, PeerLost when it cannot come any more.
+    /// EventNotSeen at the deadline; ComponentFault, ComponentNotFound, PeerLost when it cannot come any
+    /// more.
     pub async fn event(mut self) -> Result<Item, Refusal> {
         let (until, id) = (self.until, self.member.port.component.clone());
         loop {
             let graph = tokio::select! {
-                // What is here already counts before everything else.
+                // An event that is already here counts before everything else.
                 biased;
                 item = self.feed.recv() => match item {
                     Some(item) => return Ok(item),
-                    // It was made anew, is being removed, or does not have this event any more.
+                    // The component was made anew, is being removed, or does not have this event any more.
                     None => {
                         tokio::time::sleep_until((Instant::now() + AGAIN).min(until).into()).await;
                         self.feed = self.gcm.feed(&self.member, until).await?;
@@ -95,7 +96,7 @@ impl Listening {
     }
 }
 
-/// Whether a component can ever send something.
+/// Tells whether a component can ever send something.
 fn able(graph: &SystemGraph, id: &ComponentId) -> Result<(), Refusal> {
     match graph.components.get(id) {
         None if !graph.processes.contains_key(&id.process) => Err(Refusal::ProcessNotFound {

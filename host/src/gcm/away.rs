@@ -1,5 +1,5 @@
-//! Processes that have ended: a component that keeps one from coming back is taken out of it, or all of it is
-//! forgotten. It is done in the graph alone, since nobody is there to be asked.
+//! Processes that have ended: a component that keeps its process from coming back is taken out of it, or the
+//! whole process is forgotten. This is done in the graph alone, since there is no LCM to ask.
 //!
 //! Invariant: no change is carried out here for a process that could still do otherwise: it is FAILED, its
 //! supervisor saw it end and no other incarnation is here, or the request is to forget it.
@@ -16,7 +16,8 @@ use super::fate::dismiss;
 use super::manager::lock;
 use super::sessions::Sessions;
 
-/// It is known that nothing of it runs. RESTARTING is one, too, that is here and gets its components back.
+/// Tells whether nothing of the process is known to run. A process that is here and gets its components back
+/// is RESTARTING, too.
 fn has_ended(process: &Process, is_here: bool) -> bool {
     match process.state {
         _ if is_here => false,
@@ -43,7 +44,7 @@ pub(super) fn plan_away(graph: &SystemGraph, requests: &[Request]) -> Result<Pla
 }
 
 impl Gcm {
-    /// All of them take something away of processes that have ended.
+    /// Tells whether all requests only take something away of processes that have ended.
     pub(super) fn only_takes_away(&self, graph: &SystemGraph, requests: &[Request]) -> bool {
         let sessions = lock(&self.inner.sessions);
         let ended = |name: &Name| {

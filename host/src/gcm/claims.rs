@@ -1,7 +1,8 @@
 //! Which part of the system a request has to itself while it is planned and done.
 //!
-//! Invariant: no two requests under way touch the same component, nor do two make connections; those that would go in the
-//! order they came. A plan is made in the step that takes its part, so nothing it rests on changes before it is done.
+//! Invariant: no two requests under way touch the same component, and no two make connections; requests that
+//! would wait for each other go in the order they came. A plan is made in the step that takes its part, so
+//! nothing it rests on changes before it is done.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
@@ -16,18 +17,18 @@ use super::Gcm;
 use super::execute::id_of;
 use super::manager::lock;
 
-/// What a request touches.
+/// Part of the system that a request touches.
 #[derive(Clone, Debug, Default)]
 struct Part {
     ids: BTreeSet<ComponentId>,
-    /// Not resolved yet: only of a request that waits.
+    /// Globs not resolved yet: only of a request that waits.
     globs: Vec<Pattern>,
     /// Makes connections or shares threads: whether that closes a circle depends on all others.
     wires: bool,
 }
 
 impl Part {
-    /// What the requests name.
+    /// Returns the part the requests name.
     fn named(graph: &SystemGraph, requests: &[Request]) -> Part {
         let mut part = Part::default();
         for request in requests {
@@ -71,12 +72,13 @@ impl Part {
         part
     }
 
-    /// What their plan touches besides; its globs are resolved when the whole is planned.
+    /// Adds what their plan touches besides; the globs are resolved when the whole is planned.
     fn planned(mut self, plan: &Plan, is_whole: bool) -> Part {
         if is_whole {
             self.globs.clear();
         }
-        // Taking away alone is never taken back; among other things it may have to be connected again.
+        // A plan that only takes away is never taken back; a Disconnect beside other changes may have to be
+        // connected again.
         let takes_away = |change: &Change| match change {
             Change::Disconnect { .. } | Change::Destroy { .. } => true,
             Change::Run { verb, .. } => *verb == Verb::Stop,
@@ -129,7 +131,7 @@ impl From<Plan> for Planned {
     }
 }
 
-/// What others want of a request that is being carried out.
+/// Wishes of other requests towards one that is being carried out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Marks {
     /// Components the plan, or undoing it, sets in motion.
@@ -209,24 +211,24 @@ impl Claim<'_> {
         self.claims.news()
     }
 
-    /// Looks at, or changes, what others want of it.
+    /// Looks at, or changes, the wishes of other requests.
     pub(super) fn marks<R>(&self, look: impl FnOnce(&mut Marks) -> R) -> R {
         let mut list = lock(&self.claims.list);
         match list.entries.iter_mut().find(|e| e.number == self.number) {
             Some(entry) => look(&mut entry.marks),
-            // Not while this exists.
+            // Impossible while this exists.
             None => look(&mut Marks::default()),
         }
     }
 
-    /// What it waits for from now on, for those that wait for it.
+    /// Sets what this request waits for from now on, for requests that wait for it.
     pub(super) fn doing(&self, what: String) {
         if let Some(entry) = lock(&self.claims.list).entries.iter_mut().find(|e| e.number == self.number) {
             entry.doing = what;
         }
     }
 
-    /// Takes what `plan` touches besides, which was not known before; false: somebody else has some of it.
+    /// Takes what `plan` touches besides, which was not known before; false: another request has some of it.
     pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> bool {
         let mut list = lock(&self.claims.list);
         let own = list.entries.iter().position(|e| e.number == self.number);
@@ -240,7 +242,8 @@ impl Claim<'_> {
         is_free
     }
 
-    /// Plans and takes the part, when nobody else has any of it or came earlier; else what it waits for.
+    /// Plans and takes the part, when no other request has any of it or came earlier; else returns what it
+    /// waits for.
     fn take(
         &self,
         named: &Part,

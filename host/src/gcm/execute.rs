@@ -1,7 +1,7 @@
-//! Requests carried out: planned as one change set, done by the LCMs, undone when one of them refuses.
+//! Carries out requests: planned as one change set, done by the LCMs, undone when one of them refuses.
 //!
-//! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM did it. What hangs
-//! holds up the components of its own request and no others.
+//! Invariant: every wait ends by the request's deadline; a change is entered in the graph only after its LCM
+//! did it. A component that hangs holds up the components of its own request and no others.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -28,19 +28,20 @@ const WITHIN: Duration = Duration::from_secs(5);
 pub(super) const UNDO: Duration = Duration::from_secs(2);
 /// Time a component gets to stop before it is removed, or after it was found to hang.
 pub(super) const HUNG: Duration = Duration::from_secs(1);
-/// An LCM keeps deadlines itself and says what hung; this much later it is not waited for.
+/// Time an LCM gets beyond the deadline: it keeps deadlines itself and says what hung; after this it is not
+/// waited for.
 const GRACE: Duration = Duration::from_millis(50);
 
-/// How a request is to be executed.
+/// Options of one execution.
 #[derive(Clone, Debug, Default)]
 pub struct ExecuteOptions {
     pub validate_only: bool,
     /// Same id, same answer; empty = none.
     pub request_id: String,
     pub expected_revision: Option<u64>,
-    /// For the whole request; then what was done is undone. Unset: 5 s from now.
+    /// Deadline of the whole request; after it all done changes are undone. Unset: 5 s from now.
     pub deadline: Option<Instant>,
-    /// Who asks, for the audit line.
+    /// Caller's identity, for the audit line.
     pub identity: String,
 }
 
@@ -50,15 +51,15 @@ impl ExecuteOptions {
     }
 }
 
-/// What an accepted request did.
+/// Result of an accepted request.
 #[derive(Clone, Default)]
 pub struct Executed {
     pub revision: u64,
     pub plan: Plan,
     pub reports: Vec<Report>,
-    /// Of a Stop: what could not be stopped; the others are.
+    /// Components a Stop could not stop; the others are stopped.
     pub failed: Vec<(ComponentId, Refusal)>,
-    /// Differences from a system file that no request ends, and who does.
+    /// Differences from a system file that no request ends, and who can end them.
     pub left: Vec<String>,
 }
 
@@ -68,7 +69,7 @@ impl Executed {
     }
 }
 
-/// What was done, one line per change; whole components would be pages.
+/// Prints one line per change; whole components would be pages.
 impl std::fmt::Debug for Executed {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let warnings: Vec<&String> = self.reports.iter().flat_map(|r| &r.warnings).collect();
@@ -92,7 +93,7 @@ impl Gcm {
         self.once(&requests, &options, deadline, self.audited(&requests, &options, deadline)).await
     }
 
-    /// Carries it out, unless the same was asked under its id before.
+    /// Carries the requests out, unless the same was asked under its id before.
     pub(super) async fn once(
         &self,
         asked: &impl std::fmt::Debug,
@@ -177,7 +178,7 @@ impl Gcm {
             Ok(Planned { plan, is_whole: first == requests.len() })
         };
         let (claim, graph, plan) = match self.claim_part(requests, deadline, decide).await {
-            // It went with the request that had made it.
+            // The component went with the request that had made it.
             Err(Refusal::ComponentNotFound { id, .. }) if forced == Some(&id) => {
                 return Ok(Executed { revision: self.graph().revision, ..Executed::default() });
             }
@@ -220,7 +221,7 @@ impl Gcm {
         Ok(done)
     }
 
-    /// One more accepted request.
+    /// Counts one more accepted request.
     pub(super) fn accepted(&self) -> u64 {
         let mut revision = 0;
         self.edit(|graph| {
@@ -243,7 +244,7 @@ impl Gcm {
             let asked = if doomed { as_removal(change) } else { change.clone() };
             match carrying.one(&asked, until).await {
                 Ok(report) => done.reports.push(report),
-                // It goes away all the same: a component that hangs must not keep itself.
+                // The component goes away all the same: one that hangs must not keep itself.
                 Err(refusal) if doomed => log::warn!("{} before its removal: {refusal}", text::line(change)),
                 Err(refusal) => {
                     self.undo(carrying, &done.plan.changes[..i]).await;
@@ -254,7 +255,7 @@ impl Gcm {
         Ok(())
     }
 
-    /// Takes back what was done.
+    /// Takes the done changes back.
     pub(super) async fn undo(&self, carrying: &Carrying<'_>, done: &[Change]) {
         let undo = inverse(&Plan { changes: done.to_vec(), skipped: Vec::new() });
         for change in undo.changes {
@@ -264,7 +265,7 @@ impl Gcm {
         }
     }
 
-    /// One change: done by the LCM, then entered in the graph.
+    /// Carries out one change: done by the LCM, then entered in the graph.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
         let process = &id_of(change).process;
         let asked = async {
@@ -282,7 +283,8 @@ impl Gcm {
         let timeout = || Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) };
         let report = match asked.unwrap_or_else(|_| Err(timeout())) {
             Ok(report) => report,
-            // An LCM cuts what loses its port by itself, and tells so after that: what was wanted is done.
+            // An LCM by itself cuts a connection that loses its port, and tells so after that: the wanted
+            // change is done.
             Err(refusal @ Refusal::ConnectionNotFound { .. }) => self.as_known(change).ok_or(refusal)?,
             Err(refusal) => {
                 self.hear_out(process).await;
@@ -308,7 +310,7 @@ impl Gcm {
         Ok(report)
     }
 
-    /// What is known of the client of a connection that is to be cut.
+    /// Returns the known state of the client of a connection that is to be cut.
     fn as_known(&self, change: &Change) -> Option<Report> {
         let Change::Disconnect { connection, .. } = change else { return None };
         let id = connection.client.component.clone();
@@ -318,7 +320,8 @@ impl Gcm {
     }
 }
 
-/// Actuators that run in `graph` and have lost something they require when the plan is done, with what that is.
+/// Returns the actuators that run in `graph` and lack a required connection when the plan is done, each with
+/// that port.
 fn bereft<'p>(graph: &'p SystemGraph, plan: &'p Plan) -> impl Iterator<Item = (ComponentId, Name)> + 'p {
     let later = |at: usize, is: &dyn Fn(&Change) -> bool| plan.changes[at + 1..].iter().any(is);
     let cut = plan.changes.iter().enumerate().filter_map(|(at, change)| match change {
@@ -347,7 +350,7 @@ fn given_up() -> Refusal {
     Refusal::Internal { text: "the request with this request_id was given up without an answer".into() }
 }
 
-/// The component whose LCM carries the change out.
+/// Returns the component whose LCM carries the change out.
 pub(super) fn id_of(change: &Change) -> &ComponentId {
     match change {
         Change::Create { id, .. }
@@ -360,13 +363,13 @@ pub(super) fn id_of(change: &Change) -> &ComponentId {
     }
 }
 
-/// A Stop of a component that the same plan removes.
+/// Tells whether this is a Stop of a component that the same plan removes.
 fn is_doomed(change: &Change, later: &[Change]) -> bool {
     let Change::Run { id, verb: Verb::Stop, .. } = change else { return false };
     later.iter().any(|c| matches!(c, Change::Destroy { id: gone, .. } if gone == id))
 }
 
-/// The Stop of a component that is removed, as its LCM is asked.
+/// Returns the Stop of a component that is removed, as its LCM is asked.
 fn as_removal(change: &Change) -> Change {
     match change.clone() {
         Change::Run { id, verb: Verb::Stop, from, to } => Change::Run { id, verb: Verb::Remove, from, to },

@@ -48,10 +48,10 @@ pub(crate) struct FakeLcm {
     held: Mutex<BTreeSet<String>>,
     released: watch::Sender<u64>,
     waiting: watch::Sender<BTreeSet<String>>,
-    /// Of connections to other processes, by number.
+    /// Halves of connections to other processes, by connection number.
     halves: Mutex<BTreeMap<u64, HalfReport>>,
     feeds: Mutex<Vec<mpsc::Sender<Item>>>,
-    /// How many subscriptions there were.
+    /// Number of subscriptions so far.
     followed: watch::Sender<usize>,
     /// The phases it was given last.
     pub(crate) phases: watch::Sender<BTreeMap<ComponentId, Phase>>,
@@ -213,7 +213,7 @@ impl FakeLcm {
         self.ports.lock().unwrap().insert(change.into(), Arc::new(ports));
     }
 
-    /// It has cut the connection of this Disconnect already, and did not tell.
+    /// The LCM has cut the connection of this Disconnect already, and did not tell.
     pub(crate) fn has_cut(&self, disconnect: &str) {
         self.has_cut.lock().unwrap().insert(disconnect.into());
     }
@@ -264,7 +264,7 @@ impl FakeLcm {
         let _ = self.news.send(News::State(report));
     }
 
-    /// How a component is, told by its watchdog.
+    /// Tells the health of a component, as its watchdog would.
     pub(crate) fn become_health(&self, component: &str, state: State, health: Health) {
         let report = Report { health, ..report(&id(component), state) };
         // Nobody listening is fine.
@@ -277,7 +277,7 @@ impl FakeLcm {
         let _ = self.news.send(News::Log(line));
     }
 
-    /// Gives an item to everybody who follows something.
+    /// Gives an item to every follower.
     pub(crate) async fn emit(&self, path: &str, n: u64) {
         let feeds = self.feeds.lock().unwrap().clone();
         for feed in feeds {
@@ -285,7 +285,7 @@ impl FakeLcm {
         }
     }
 
-    /// Until somebody has followed something for the n-th time.
+    /// Waits for the n-th subscription.
     pub(crate) async fn followed(&self, times: usize) {
         self.followed.subscribe().wait_for(|n| *n >= times).await.unwrap();
     }
@@ -295,7 +295,7 @@ impl FakeLcm {
         self.feeds.lock().unwrap().clear();
     }
 
-    /// Until nobody follows anything.
+    /// Waits until all subscriptions have ended.
     pub(crate) async fn unfollowed(&self) {
         let feeds = self.feeds.lock().unwrap().clone();
         for feed in feeds {
@@ -391,7 +391,7 @@ impl Lcm for FakeLcm {
         if call.member.to_string() != format!("{}/a/arm/write", self.process) {
             return Err(Refusal::MemberNotFound { member: call.member, known: vec!["write".into()] });
         }
-        // A call is followed by an event at once; whoever listens too late has missed it.
+        // A call is followed by an event at once; a listener that comes too late has missed it.
         for feed in self.feeds.lock().unwrap().iter() {
             let _ = feed.try_send(event(&format!("{}/a/arm/moved", self.process), 77));
         }

@@ -1,7 +1,8 @@
 //! Connections between two processes: both LCMs are told of both ends; they link them by themselves.
 //!
-//! Invariant: either both have their half or none, and the server's is there first, so that its client finds it. While a process is
-//! away its half counts as gone; what it still has when it comes back, and should not, is cut.
+//! Invariant: either both have their half or none, and the server's is there first, so that its client finds
+//! it. The half of a process that is away counts as gone; a half it still has when it comes back, and should
+//! not, is cut.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -27,7 +28,7 @@ impl Gcm {
         let graph = self.graph();
         let (client, server) = (&connection.client, &connection.server);
         if graph.is_guests(client) {
-            // It calls from outside, so nobody has a half.
+            // The guest calls from outside, so neither LCM has a half.
             let made = Change::Connect { connection: connection.clone() };
             return self.lcm_of(&client.component.process)?.apply(made, deadline).await;
         }
@@ -39,7 +40,8 @@ impl Gcm {
         at_server.link(of_client, deadline).await?;
         let linked = tokio::select! {
             linked = at_client.link(of_server, deadline) => linked,
-            // Its client would wait for it until the deadline, and whoever makes that process anew for both.
+            // The client would wait for the half until the deadline, and the restore of that process for
+            // both.
             away = self.away(&server.component.process, card) => Err(away),
         };
         let Err(refusal) = linked else { return linked };
@@ -55,15 +57,16 @@ impl Gcm {
         Err(refusal)
     }
 
-    /// Ends when the incarnation of a process that can be reached so does not answer any more.
+    /// Ends when the incarnation of a process that is reached by this card does not answer any more.
     async fn away(&self, process: &Name, card: Option<Card>) -> Refusal {
         let mut graphs = self.watch();
-        // It lives as long as this GCM.
+        // The sender lives as long as this GCM.
         let _ = graphs.wait_for(|_| lock(&self.inner.sessions).card(process) != card).await;
         Refusal::lost(process.clone())
     }
 
-    /// Has both halves taken away: the client's first, whose component may still call. The half of a process that is away is gone.
+    /// Has both halves taken away: the client's first, whose component may still call. The half of a process
+    /// that is away is gone.
     pub(super) async fn unlink(
         &self,
         connection: &Connection,
@@ -83,7 +86,7 @@ impl Gcm {
             match (done, told.take()) {
                 (Ok(_), Some(Ok(first))) => told = Some(Ok(first)),
                 (Ok(report), _) => told = Some(Ok(report)),
-                // It went with its component, or with its process.
+                // The half went with its component, or with its process.
                 (
                     Err(
                         refusal @ (Refusal::ConnectionNotFound { .. }
@@ -98,7 +101,7 @@ impl Gcm {
         told.unwrap_or_else(|| Err(Refusal::Internal { text: "a connection without ends".into() }))
     }
 
-    /// Has those connections of a process linked of which a half is missing, although both processes are there: one of them was
+    /// Links the connections of a process that lack a half although both processes are there: one process was
     /// away while the other half was made.
     pub(super) async fn link_missing(self, process: Name) {
         let deadline = Instant::now() + AGAIN;
@@ -127,12 +130,12 @@ impl Gcm {
     pub(super) async fn not_linked(&self, connection: &Connection, refusal: &Refusal) {
         let ends = [End::Client, End::Server].map(|end| (end, &connection.port(end).component.process));
         for (_, process) in ends {
-            // The end of a half that was made for nothing would cover it.
+            // News of the end of a half that was made for nothing would cover the reason.
             self.hear_out(process).await;
         }
         self.edit(|graph| {
             let SystemGraph { proxies, connections, .. } = graph;
-            // What was said of connections that have gone since.
+            // Entries of connections that have gone since are removed.
             proxies.retain(|(id, _), half| !half.carrier.is_empty() || connections.contains_key(id));
             if !connections.contains_key(&connection.id) {
                 return;
@@ -145,7 +148,7 @@ impl Gcm {
         });
     }
 
-    /// Has halves cut that no connection is known of. Not waited for.
+    /// Has halves cut that belong to no known connection. Not waited for.
     pub(super) fn cut_strays(&self, strays: Vec<(Name, Connection)>) {
         for (process, connection) in strays {
             let Ok(lcm) = self.lcm_of(&process) else { continue };
@@ -165,7 +168,7 @@ impl Gcm {
         }
     }
 
-    /// What the other process has to know of one end.
+    /// Returns what the other process has to know of one end.
     fn end(&self, graph: &SystemGraph, connection: &Connection, end: &PortId) -> Result<FarEnd, Refusal> {
         let component = graph.component(&end.component)?;
         let class = ClassOf { name: component.class.full_name(), hash: component.class.hash.clone() };
@@ -186,7 +189,7 @@ impl Gcm {
     }
 
     fn card_of(&self, connection: &Connection, process: &Name) -> Result<Card, Refusal> {
-        // One that is not heard now has told nothing that is still true.
+        // A process that is not heard now has told nothing that is still true.
         self.lcm_of(process)?;
         let card = lock(&self.inner.sessions).card(process);
         card.ok_or_else(|| Refusal::Unreachable {
@@ -197,7 +200,8 @@ impl Gcm {
     }
 }
 
-/// What passes between two ends that have no type: what a third one made of the output. Neither process may know that one.
+/// Returns the type that passes between two ends without a type: a third component gave it to the output.
+/// Neither process may know that component.
 fn agreed<'g>(graph: &'g SystemGraph, connection: &Connection) -> Option<&'g PortType> {
     let (client, server) = (&connection.client, &connection.server);
     let of = |end: &PortId| graph.components.get(&end.component).map(|c| &c.ports);
@@ -215,11 +219,11 @@ fn other<'c>(connection: &'c Connection, process: &Name) -> &'c Name {
     }
 }
 
-/// Both processes are there, and not both have their half.
+/// Tells whether both processes are there, but not both have their half.
 fn is_missing(graph: &SystemGraph, connection: &Connection) -> bool {
     let attached =
         |process: &Name| graph.processes.get(process).is_some_and(|p| p.state == ProcessState::Attached);
-    // One without a carrier only says why there is none.
+    // An entry without a carrier only says why there is no half.
     let is_half =
         |((id, _), half): &(&(ConnectionId, End), &Proxy)| *id == connection.id && !half.carrier.is_empty();
     let told = graph.proxies.iter().filter(is_half).count();
@@ -230,8 +234,9 @@ fn is_missing(graph: &SystemGraph, connection: &Connection) -> bool {
         && told < 2
 }
 
-/// Decides which connections to other processes a process has that registers. What this GCM has decided before counts; what comes
-/// from one before it counts as soon as both processes have brought it along. Answers the halves to be cut, by process.
+/// Decides which connections to other processes a registering process has. Decisions of this GCM count first.
+/// A connection from before this GCM counts as soon as both processes have brought it along. Returns the
+/// halves to be cut, by process.
 pub(super) fn settle(
     sessions: &mut Sessions,
     graph: &mut SystemGraph,
@@ -282,7 +287,8 @@ pub(super) fn settle(
     strays
 }
 
-/// Takes out what others have brought along of connections to a process: it does not have them, or does not come any more.
+/// Takes out the connections to a process that other processes have brought along: it does not have them, or
+/// does not come any more.
 pub(super) fn awaited(sessions: &mut Sessions, process: &Name) -> Vec<(Name, Connection)> {
     let mut strays = Vec::new();
     for (other, theirs) in sessions.brought.iter_mut().filter(|(other, _)| *other != process) {

@@ -1,6 +1,7 @@
-//! What the supervisors of processes tell, entered in the graph.
+//! Enters in the graph what the supervisors of processes tell.
 //!
-//! Invariant: what is told of one incarnation never changes how a later one stands; telling the same again changes nothing.
+//! Invariant: news of one incarnation never changes how a later one stands; telling the same again changes
+//! nothing.
 
 use std::sync::Arc;
 
@@ -11,17 +12,17 @@ use super::far::awaited;
 use super::manager::lock;
 use super::sessions::said_lost;
 
-/// What became of a process.
+/// State of a process, as its supervisor tells it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     Running,
-    /// It ended and is being started again.
+    /// The process ended and is being started again.
     Restarting,
-    /// It ended too often.
+    /// The process ended too often.
     Failed,
-    /// It ended and stays away.
+    /// The process ended and stays away.
     Ended,
-    /// It was taken down: the system is without it and its components from now on.
+    /// The process was taken down: the system is without it and its components from now on.
     Dismissed,
 }
 
@@ -30,20 +31,22 @@ pub enum Fate {
 pub struct Told {
     pub process: Name,
     pub fate: Fate,
-    /// Of the incarnation that runs, or ended last; 0 = none.
+    /// Pid of the incarnation that runs, or ended last; 0 = none.
     pub pid: u32,
-    /// How it ended last; "" when it never did.
+    /// Last exit of the process; "" when it never ended.
     pub last_exit: String,
     pub restarts: u32,
 }
 
 impl Gcm {
-    /// Enters what a supervisor tells. A process it has seen end is lost at once, whatever its stream still pretends.
+    /// Enters what a supervisor tells. A process that the supervisor has seen end is lost at once, whatever
+    /// its stream still pretends.
     pub fn told(&self, told: &Told) {
         let (mut cut, mut strays, mut lost, mut dismissed) = (Vec::new(), Vec::new(), None, false);
         self.edit_if(|graph| {
             let mut sessions = lock(&self.inner.sessions);
-            // Another incarnation is here, or somebody else's; or it was taken down, and this was said before that.
+            // Another incarnation or a foreign process is here; or the process was taken down after this was
+            // told.
             if sessions.pid(&told.process).is_some_and(|pid| pid != told.pid)
                 || sessions.was_dismissed(&told.process, told.pid)
             {
@@ -61,14 +64,14 @@ impl Gcm {
             }
             let mut now = match graph.processes.get(&told.process) {
                 Some(process) => process.clone(),
-                // It registers by itself.
+                // A process that runs registers by itself.
                 None if told.fate == Fate::Running => return false,
                 None => never_seen(told.pid),
             };
             now.last_exit.clone_from(&told.last_exit);
             now.restarts = told.restarts;
             now.state = match told.fate {
-                // It was given up, and somebody wanted it back.
+                // The process was given up, and an operator wanted it back.
                 Fate::Running if now.state == ProcessState::Failed => ProcessState::Restarting,
                 Fate::Running | Fate::Dismissed => now.state,
                 Fate::Restarting => ProcessState::Restarting,
@@ -91,7 +94,7 @@ impl Gcm {
     }
 }
 
-/// One that ended before it could register.
+/// Entry of a process that ended before it could register.
 fn never_seen(pid: u32) -> Process {
     Process {
         epoch: 0,

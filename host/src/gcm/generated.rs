@@ -11,8 +11,8 @@ use super::Gcm;
 use super::execute::Executed;
 use super::stop::Carrying;
 
-/// The plan of the requests, or of the first ones that must be done before the others can be planned, and their
-/// number.
+/// Returns the plan of the requests, or of the first ones that must be done before the others can be planned,
+/// and their number.
 ///
 /// # Errors
 /// Every refusal of the plan.
@@ -27,8 +27,8 @@ pub(super) fn first_part(graph: &SystemGraph, requests: &[Request]) -> Result<(P
     }
 }
 
-/// The number of requests before the first that connects a port which is not known yet, of a component that is
-/// created here with a configuration, or given another one.
+/// Returns the number of requests before the first that connects a port which is not known yet, of a
+/// component that is created here with a configuration, or given another one.
 fn before(requests: &[Request], refusal: &Refusal) -> Option<usize> {
     let Refusal::InterfaceNotFound { port, .. } = refusal else { return None };
     let makes = |request: &Request| match request {

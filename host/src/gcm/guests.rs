@@ -1,6 +1,7 @@
 //! Guests: places in the graph behind which there is no LCM, such as a shell's.
 //!
-//! Invariant: nothing is ever called at a guest; its place, and every connection of it, ends with whoever holds [`Joined`].
+//! Invariant: nothing is ever called at a guest; its place, and every connection of it, ends with the owner
+//! of [`Joined`].
 
 use std::collections::VecDeque;
 use std::sync::{Arc, LazyLock, Mutex};
@@ -30,14 +31,14 @@ const MOST_REQUIRED: usize = 256;
 /// News that may wait to be entered.
 const NEWS: usize = 64;
 
-/// Who asks for a place.
+/// Guest that asks for a place.
 #[derive(Clone, Debug)]
 pub struct Guest {
     /// Wanted name of its process.
     pub process: Name,
     /// Name of its component.
     pub component: Name,
-    /// What it is, for people; never empty.
+    /// Name of the program, for people; never empty.
     pub program: String,
     /// 0 = unknown.
     pub pid: u32,
@@ -61,7 +62,7 @@ pub struct Requirement {
 }
 
 impl Joined {
-    /// Ends when somebody else ended the place: the component was removed.
+    /// Ends when the place was ended from outside: the component was removed.
     pub async fn ended(&self) {
         let mut removed = self.lcm.removed.subscribe();
         // The sender lives as long as this.
@@ -118,7 +119,8 @@ impl Gcm {
     /// Adds a required interface with everything a provided one has, and connects them: both, or neither.
     ///
     /// # Errors
-    /// The component is no guest's; the provided interface is not there; the name is taken; whatever refuses a Connect.
+    /// The component is no guest's; the provided interface is not there; the name is taken; the Connect is
+    /// refused.
     pub async fn require(
         &self,
         component: &ComponentId,
@@ -141,7 +143,7 @@ impl Gcm {
         };
         let name = lcm.add(name, &provided)?;
         let client = component.port(name.clone());
-        // The plan is made of the graph, which has to know of it.
+        // The plan is made from the graph, which has to know the new port.
         self.hear_out(&component.process).await;
         let connect = Request::Connect {
             client: client.clone(),
@@ -168,7 +170,7 @@ impl Gcm {
         Err(refused)
     }
 
-    /// The place of a guest ends, and what it had. Nobody else has a half of its connections.
+    /// Ends the place of a guest, and all it had. No LCM has a half of its connections.
     fn leave(&self, process: &Name, session: u64) {
         let mut left = false;
         self.edit_if(|graph| {
@@ -191,7 +193,7 @@ fn invalid(what: &str, why: String, field: &str) -> Refusal {
     Refusal::ArgumentInvalid { what: what.into(), why, field: field.into() }
 }
 
-/// That name, or the first of it with a number that no process has.
+/// Returns the wanted name, or the first of it with a number that no process has.
 fn free_name(graph: &SystemGraph, wanted: &Name) -> Result<Name, Refusal> {
     numbered(wanted, |name| graph.processes.contains_key(name))
 }
@@ -207,7 +209,7 @@ fn numbered(wanted: &Name, taken: impl Fn(&Name) -> bool) -> Result<Name, Refusa
     Ok(name)
 }
 
-/// What all guests are made of.
+/// Class of all guests.
 static CLASS: LazyLock<Arc<ClassInfo>> = LazyLock::new(|| {
     Arc::new(ClassInfo {
         plugin: "trocar".into(),
@@ -226,11 +228,11 @@ static CLASS: LazyLock<Arc<ClassInfo>> = LazyLock::new(|| {
     })
 });
 
-/// Answers for a guest what an LCM would.
+/// Stands in for the LCM of a guest.
 pub(super) struct GuestLcm {
     stands: Mutex<Stands>,
     news: broadcast::Sender<News>,
-    /// Its component was removed by somebody.
+    /// True when its component was removed from outside.
     removed: watch::Sender<bool>,
 }
 
@@ -241,7 +243,7 @@ struct Stands {
     /// Required interfaces that went with their connections, the last ones. A change that fails after that,
     /// or that makes the other end anew, connects one again.
     parted: VecDeque<Required>,
-    /// Of the last report.
+    /// Number of the last report.
     number: u64,
 }
 
@@ -296,8 +298,8 @@ impl GuestLcm {
         lock(&self.stands).report()
     }
 
-    /// Adds what takes everything of a provided interface; the name when none is wanted is that one's, or the first number with it
-    /// that is free.
+    /// Adds a required interface with everything of a provided one. Without a wanted name it takes the
+    /// provided one's name, or that name with the first free number.
     fn add(&self, name: Option<Name>, provided: &Provided) -> Result<Name, Refusal> {
         let mut stands = lock(&self.stands);
         let taken = |name: &Name| stands.ports.required.iter().any(|r| *name == r.name.as_str());
@@ -389,7 +391,8 @@ impl Lcm for GuestLcm {
             }
             Change::Run { to, .. } => stands.state = to,
             Change::Connect { connection } => stands.comes_back(&connection.client.port),
-            // What was added for it goes with it, unless another one takes its place.
+            // A required interface that was added for the connection goes with it, unless another connection
+            // takes its place.
             Change::Disconnect { connection, replaced } if !replaced => stands.goes(&connection.client.port),
             Change::Disconnect { .. } => {}
             Change::Destroy { .. } => _ = self.removed.send_replace(true),

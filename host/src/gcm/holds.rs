@@ -1,12 +1,13 @@
 //! Components that go with the program that made them: a recorder whose `trocar record` was killed.
 //!
-//! Invariant: a component has one holder, the last that asked. What is removed by anybody else is held no
-//! more, so a later component of its name is never removed for an earlier one.
+//! Invariant: a component has one holder, the last that asked. A component that was removed otherwise is held
+//! no more, so a later component of its name is never removed for an earlier one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use tokio::sync::watch;
+use tokio::time::Instant;
 use trocar_model::{ComponentId, Refusal, Request};
 
 use super::manager::lock;
@@ -16,6 +17,9 @@ use super::{ExecuteOptions, Gcm};
 const MOST: usize = 1024;
 /// Pause before a removal that failed is tried again, for one because the process is lost.
 const AGAIN: Duration = Duration::from_secs(1);
+/// Time for which a process that is not known is waited for: a GCM that was started again hears of its
+/// processes one by one.
+const UNKNOWN: Duration = Duration::from_secs(60);
 
 /// The holds there are; a hold whose sender is gone is over.
 #[derive(Default)]
@@ -33,7 +37,7 @@ impl Holds {
     }
 }
 
-/// A component that is held, until it is removed or somebody else holds it; ended by [`Held::end`] or
+/// A component that is held, until it is removed or another call holds it; ended by [`Held::end`] or
 /// [`Held::let_go`].
 pub struct Held {
     gcm: Gcm,
@@ -43,7 +47,7 @@ pub struct Held {
 }
 
 impl Gcm {
-    /// Holds a component, which need not be there yet. `identity`: who asks, for the audit line of its
+    /// Holds a component, which need not be there yet. `identity`: the caller, for the audit line of its
     /// removal.
     ///
     /// # Errors
@@ -60,7 +64,7 @@ impl Gcm {
                 field: "component".into(),
             });
         }
-        // The one before is over by that.
+        // This ends the hold before it.
         holds.0.insert(component.clone(), sender);
         Ok(Held { gcm: self.clone(), component, identity, over })
     }
@@ -77,7 +81,7 @@ impl Held {
     /// The holder goes and the component stays.
     pub fn let_go(self) {
         let mut holds = lock(&self.gcm.inner.holds);
-        // Under the lock: nobody else holds it now.
+        // Under the lock: no other call holds it now.
         if !self.is_over() {
             holds.removed(&self.component);
         }
@@ -85,14 +89,19 @@ impl Held {
 
     /// The holder has gone: the component is stopped and removed, now or as soon as its process lets it.
     pub async fn end(mut self) {
-        let mut said = false;
+        let (mut said, since) = (false, Instant::now());
         while !self.is_over() {
             let remove = Request::Remove { id: self.component.clone(), force: true };
             let identity = format!("{}, whose hold has ended,", self.identity);
             let options = ExecuteOptions { identity, ..ExecuteOptions::default() };
             match self.gcm.execute(vec![remove], options).await {
                 Ok(_) => log::info!("{} is removed: its holder has gone", self.component),
-                Err(Refusal::ComponentNotFound { .. } | Refusal::ProcessNotFound { .. }) => {}
+                Err(Refusal::ComponentNotFound { .. }) => {}
+                Err(Refusal::ProcessNotFound { .. }) if since.elapsed() >= UNKNOWN => {}
+                Err(Refusal::ProcessNotFound { .. }) => {
+                    let _ = tokio::time::timeout(AGAIN, self.over()).await;
+                    continue;
+                }
                 Err(refusal) => {
                     if !std::mem::replace(&mut said, true) {
                         log::warn!(

@@ -1,7 +1,8 @@
-//! Numbers that are never reused: the term of this GCM and the epochs of processes, durable when there is a state folder.
+//! Numbers that are never reused: the term of this GCM and the epochs of processes, durable when there is a
+//! state folder.
 //!
-//! Invariant: where what was counted cannot be read, the count goes on from the time of day in seconds, which
-//! one that began at 0 does not reach.
+//! Invariant: where the last count cannot be read, the count goes on from the time of day in seconds, which a
+//! count from 0 does not reach.
 
 use std::fmt;
 use std::fs;
@@ -90,8 +91,8 @@ impl Ids {
         Ok(next.next_epoch)
     }
 
-    /// Whether some GCM may have given this number out; else a caller made it up, and to count on from it
-    /// would soon end.
+    /// Tells whether some GCM may have given this number out; otherwise a caller made it up, and counting on
+    /// from it would soon end.
     pub(super) fn may_be(&self, epoch: u64) -> bool {
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         epoch != 0 && epoch <= kept.next_epoch.saturating_add(AHEAD)
@@ -114,12 +115,12 @@ impl Ids {
         let done = serde_json::to_vec(&kept)
             .map_err(io::Error::other)
             .and_then(|text| {
-                // Somebody may have emptied the state directory.
+                // The state directory may have been emptied.
                 if let Some(place) = file.parent() {
                     fs::DirBuilder::new().recursive(true).mode(0o700).create(place)?;
                 }
                 let mut new = fs::File::create(&temporary)?;
-                // Whole on the disk before it takes the other's place.
+                // The file is whole on the disk before it takes the other's place.
                 new.write_all(&text).and_then(|()| new.sync_data())
             })
             .and_then(|()| fs::rename(&temporary, file));

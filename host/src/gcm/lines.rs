@@ -1,6 +1,6 @@
-//! The newest log lines, for those who ask later, and those that come, for those who follow.
+//! The newest log lines, for callers that ask later, and the coming ones, for followers.
 //!
-//! Invariant: nobody sees a line twice or misses one between what was kept and what comes.
+//! Invariant: no follower sees a line twice or misses one between the kept and the coming ones.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};

@@ -1,7 +1,7 @@
 //! The owner of the system graph, and what can be seen of it.
 //!
-//! Invariant: every edit of the graph is one closure under the watch channel's lock, so readers see whole states only; the
-//! revision grows by one per accepted request that changed something, and by nothing else.
+//! Invariant: every edit of the graph is one closure under the watch channel's lock, so readers see whole
+//! states only; the revision grows by one per accepted request that changed something, and by nothing else.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,12 +18,13 @@ use super::lines::Lines;
 use super::requests::Answers;
 use super::sessions::Sessions;
 
-/// How a GCM is set up.
+/// Settings of a GCM.
 #[derive(Clone, Debug)]
 pub struct GcmConfig {
-    /// Where term and epochs are kept; `None` for a system that leaves nothing behind.
+    /// Folder of term and epochs; `None` for a system that leaves nothing behind.
     pub state: Option<PathBuf>,
-    /// Time for each change of what a process gets back that was started again. One that hangs costs the others no more.
+    /// Time for each change that gives a restarted process its components back. A change that hangs costs the
+    /// others no more.
     pub each_change: Duration,
 }
 
@@ -92,7 +93,7 @@ impl Gcm {
         self.inner.ids.term()
     }
 
-    /// What the components of all processes log.
+    /// Returns the log lines of the components of all processes.
     pub fn lines(&self) -> &Arc<Lines> {
         &self.inner.lines
     }
@@ -100,8 +101,8 @@ impl Gcm {
     /// Waits until a component is in one of the states.
     ///
     /// # Errors
-    /// ComponentNotFound, also when it is removed meanwhile; NotReached at the deadline; ComponentFault at once when it
-    /// goes into FAULT and nobody waits for that.
+    /// ComponentNotFound, also when it is removed meanwhile; NotReached at the deadline; ComponentFault at
+    /// once when it goes into FAULT and nobody waits for that.
     pub async fn wait_for(
         &self,
         id: &ComponentId,
@@ -132,7 +133,7 @@ impl Gcm {
         }
     }
 
-    /// `f` answers whether anything is different; without that nobody is woken.
+    /// Edits the graph; `f` tells whether anything changed, and only then the followers are woken.
     pub(super) fn edit_if(&self, f: impl FnOnce(&mut Arc<SystemGraph>) -> bool) {
         self.inner.graph.send_if_modified(f);
     }
@@ -142,7 +143,7 @@ impl Gcm {
     }
 }
 
-/// How long somebody was to wait, as it is told: whole ms, where there are any.
+/// Returns the time a caller was given, as it is told: whole ms, where there are any.
 pub(crate) fn given_ns(began: Instant, deadline: Instant) -> u64 {
     let given = deadline.saturating_duration_since(began);
     let ms = (given.as_secs_f64() * 1e3).round() as u64;

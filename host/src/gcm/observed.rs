@@ -1,7 +1,7 @@
-//! What LCMs report, entered in the graph: states, ports, and the connections that went with a port.
+//! Enters the reports of LCMs in the graph: states, ports, and the connections that went with a port.
 //!
-//! Invariant: after a report no connection of that component ends in a port it does not have or that does not fit any
-//! more; every connection that goes is logged and is a new revision.
+//! Invariant: after a report no connection of that component ends in a port it does not have or that does not
+//! fit any more; every connection that goes is logged and is a new revision.
 
 use std::time::Instant;
 
@@ -11,8 +11,9 @@ use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Ref
 use super::Gcm;
 use super::execute::UNDO;
 
-/// Enters what an LCM reported; components the graph does not have are not invented. Answers the connections that no
-/// longer fit and which the LCM did not say it had cut, and those of which another LCM has the other half.
+/// Enters what an LCM reported; components the graph does not have are not added. Returns the connections
+/// that no longer fit and which the LCM did not say it had cut, and those of which another LCM has the other
+/// half.
 pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connection> {
     let Some(component) = graph.components.get_mut(&report.id) else { return Vec::new() };
     component.state = report.state;
@@ -44,7 +45,8 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connectio
     halves
 }
 
-/// A report came late: the component stands as it was known to, whatever that one, or what was asked for, made of it.
+/// Puts a component back to its known state, after a report that came late: neither that report nor the
+/// request behind it counts.
 pub(super) fn stand_by(graph: &mut SystemGraph, id: &ComponentId, known: Option<Component>) {
     if let (Some(component), Some(known)) = (graph.components.get_mut(id), known) {
         (component.state, component.health, component.fault) = (known.state, known.health, known.fault);
@@ -91,7 +93,7 @@ impl Gcm {
             tokio::spawn(async move {
                 let number = connection.id.0;
                 match gcm.cut(connection).await {
-                    // It had cut the connection itself.
+                    // The LCM had cut the connection itself.
                     Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
                     Err(refusal) => log::error!("connection {number} cannot be cut: {refusal}"),
                 }

@@ -1,7 +1,7 @@
 //! Phases given to the components of all processes, so that samples between those of one grid arrive.
 //!
-//! Invariant: decided by `model::phases` from the graph and from what steps take; nobody waits for it, and an LCM
-//! that does not answer keeps the phases it has.
+//! Invariant: decided by `model::phases` from the graph and from what steps take; nobody waits for it, and an
+//! LCM that does not answer keeps the phases it has.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,8 +13,8 @@ use trocar_model::{ComponentId, Name, Phase, Refusal, StepTimes, SystemGraph, ph
 use super::Gcm;
 use super::manager::lock;
 
-/// Between two looks at what steps take, while samples pass between components of one grid; and until an LCM that
-/// did not answer is asked again.
+/// Time between two looks at what steps take, while samples pass between components of one grid; also the
+/// time until an LCM that did not answer is asked again.
 const LOOK: Duration = Duration::from_secs(1);
 /// Rounds of giving phases in one look.
 const ROUNDS: usize = 4;
@@ -34,7 +34,7 @@ struct Keeper {
     looked: Option<Instant>,
 }
 
-/// An order to one process: nothing asks what steps take, and changes nothing.
+/// An order to one process; without phases it only asks what steps take.
 struct Order {
     process: Name,
     session: u64,
@@ -66,14 +66,14 @@ impl Gcm {
 }
 
 impl Keeper {
-    /// Gives each process what is new to it, and learns what steps take; true when that is to be done again
+    /// Gives each process its new phases, and learns what steps take; true when that is to be done again
     /// although nothing changes.
     async fn look(&mut self, gcm: &Gcm) -> bool {
         let graph = gcm.graph();
         let here = sessions(gcm, &graph);
         self.steps.retain(|id, _| graph.components.contains_key(id));
         self.given.retain(|process, (session, _)| here.get(process) == Some(session));
-        // A GCM that was started again asks first, so that nothing moves for what it forgot.
+        // A GCM that was started again asks first, so that no phase moves because it forgot the old ones.
         let unknown = here.iter().filter(|(process, _)| !self.given.contains_key(*process));
         let unknown = unknown.map(|(process, session)| ask(process, *session)).collect();
         let mut answered = self.carry_out(gcm, unknown).await;
@@ -88,9 +88,10 @@ impl Keeper {
         matters || !answered
     }
 
-    /// Gives the phases, and anew while what steps take is learnt from it; false when an LCM did not answer.
+    /// Gives the phases, and again while the answers bring longer steps; false when an LCM did not answer.
     async fn give(&mut self, gcm: &Gcm, graph: &SystemGraph, here: &BTreeMap<Name, u64>) -> bool {
-        // Each round learns longer steps alone, which double: a few are enough, and the next look goes on.
+        // Each round can only learn longer steps, which double: a few rounds are enough, and the next look
+        // goes on.
         for _ in 0..ROUNDS {
             let mut lists: BTreeMap<Name, Given> = BTreeMap::new();
             for (id, phase) in phases(graph, &self.steps) {
@@ -115,7 +116,7 @@ impl Keeper {
         false
     }
 
-    /// False when an LCM did not answer: it is asked again later.
+    /// Carries the orders out; false when an LCM did not answer: it is asked again later.
     async fn carry_out(&mut self, gcm: &Gcm, orders: Vec<Order>) -> bool {
         let (mut asked, mut all) = (JoinSet::new(), true);
         for order in orders {

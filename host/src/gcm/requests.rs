@@ -1,7 +1,7 @@
 //! Answers kept by request id, so that a repeated request gets the same answer and is not done twice.
 //!
 //! Invariant: bounded in number, in bytes and in age; one id is being carried out at most once, and never
-//! answered with what became of another request. A request is remembered by its hash, not by its words.
+//! answered with the result of another request. A request is remembered by its hash, not by its words.
 
 use std::collections::VecDeque;
 use std::fmt::{self, Debug, Write};
@@ -20,11 +20,11 @@ const AGE: Duration = Duration::from_secs(600);
 
 pub(super) type Answer = Result<Executed, Refusal>;
 
-/// What is known of a request id.
+/// State of a request id.
 pub(super) enum Known {
     /// Nothing: carry it out, put the answer here, and say so to [`Answers::given`].
     New(watch::Sender<Option<Answer>>),
-    /// It was asked before: the answer is here, or will be.
+    /// The request was asked before: the answer is here, or will be.
     Same(watch::Receiver<Option<Answer>>),
     /// The id stands for another request.
     Other,
@@ -40,7 +40,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// Whoever carried it out is gone without an answer.
+    /// Tells whether the task that carried out the request ended without an answer.
     fn given_up(&self) -> bool {
         self.answer.has_changed().is_err() && self.answer.borrow().is_none()
     }
@@ -87,8 +87,8 @@ impl Answers {
 
 type Hash = [u8; 32];
 
-/// The hash of what was asked; two that say the same in another order of keys are the same, since maps
-/// are sorted.
+/// Returns the hash of a request; requests that differ only in the order of keys are the same, since maps are
+/// sorted.
 fn hash(asked: &impl Debug) -> Hash {
     struct Hashing(Sha256);
     impl Write for Hashing {

@@ -1,8 +1,8 @@
-//! A process that was started again gets back what it was to have.
+//! Gives a process that was started again the components and connections it was to have.
 //!
-//! Invariant: it counts as RESTARTING until that is done, however often it is interrupted; nothing that moves something is put in
-//! motion, and what is stopped meanwhile stays stopped. What cannot be made again is named with the reason, and keeps no other
-//! from coming back.
+//! Invariant: the process counts as RESTARTING until that is done, however often it is interrupted; nothing
+//! that moves something is put in motion, and what is stopped meanwhile stays stopped. A component that
+//! cannot be made again is named with the reason, and keeps no other from coming back.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -21,11 +21,11 @@ use super::text;
 /// Time for one connection to another process, which may end in the middle of it.
 const LINKED: Duration = Duration::from_secs(2);
 
-/// What does not come back, and what is to be said about it.
+/// Components that do not come back, and what is to be said about them.
 #[derive(Default)]
 struct Away {
     unmade: BTreeSet<ComponentId>,
-    /// Beside components that are there.
+    /// Notes beside components that are there.
     notes: BTreeMap<ComponentId, Vec<String>>,
 }
 
@@ -35,7 +35,7 @@ impl Away {
         self.notes.entry(id.clone()).or_default().push(why);
     }
 
-    /// An end of a connection that does not come back.
+    /// Returns an end of a connection that does not come back.
     fn end<'c>(&self, connection: &'c Connection) -> Option<&'c ComponentId> {
         [&connection.server, &connection.client]
             .into_iter()
@@ -45,7 +45,7 @@ impl Away {
 }
 
 impl Gcm {
-    /// Makes the components of a process anew that it was to have and has not, as `session` of it.
+    /// Makes the components anew that a process was to have and has not, in its session `session`.
     pub(super) async fn restore(self, process: Name, session: u64, here: Here) {
         let decide = |graph: &SystemGraph| {
             let wanted = lock(&self.inner.sessions).wanted.of(graph, &process);
@@ -66,7 +66,7 @@ impl Gcm {
         let carrying = Carrying::begin(&self, claim, &plan);
         let Some(away) = self.make_again(&carrying, &plan, &process, session, &here).await else { return };
         log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
-        // What was told before would cover the notes.
+        // News told before would cover the notes.
         self.hear_out(&process).await;
         self.noted(away);
         self.attached_again(&carrying, &process, session).await;
@@ -74,7 +74,7 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
-    /// All changes of the plan; `None`: the process is gone.
+    /// Carries out all changes of the plan; `None`: the process is gone.
     async fn make_again(
         &self,
         carrying: &Carrying<'_>,
@@ -100,14 +100,14 @@ impl Gcm {
             if !self.hears(process, session) {
                 return None;
             }
-            // Made when that process has its components again.
+            // The change is made when that process has its components again.
             if self.awaits(change, process) || self.is_idle(change, &mut away) {
                 continue;
             }
             let far = matches!(change, Change::Connect { connection } if !connection.is_near());
             let deadline = Instant::now() + if far { LINKED } else { self.inner.each_change };
             let done = tokio::select! {
-                // What is not begun yet is not begun for a session that is over.
+                // A change that is not begun yet is not begun for a session that is over.
                 biased;
                 () = self.gone(process, session) => return None,
                 done = carrying.one(change, deadline) => done,
@@ -142,7 +142,7 @@ impl Gcm {
         })
     }
 
-    /// True for a change that cannot be done because of what does not come back.
+    /// Tells whether a change cannot be done, because a component it needs does not come back.
     fn is_idle(&self, change: &Change, away: &mut Away) -> bool {
         match change {
             Change::Connect { connection } => {
@@ -171,11 +171,12 @@ impl Gcm {
     /// Ends when that session of the process has.
     async fn gone(&self, process: &Name, session: u64) {
         let mut graphs = self.watch();
-        // It lives as long as this GCM.
+        // The sender lives as long as this GCM.
         let _ = graphs.wait_for(|_| !self.hears(process, session)).await;
     }
 
-    /// Stops what somebody stopped while it was made; once there is nothing of that, the process is attached, in one step.
+    /// Stops the components that were stopped by request while they were made; once none of them is left, the
+    /// process is attached, in one step.
     async fn attached_again(&self, carrying: &Carrying<'_>, process: &Name, session: u64) {
         let mut tried = BTreeSet::new();
         loop {
@@ -208,7 +209,7 @@ impl Gcm {
         }
     }
 
-    /// A component that is not there although it should be.
+    /// Marks a component as not there although it should be.
     fn not_made(&self, id: &ComponentId, why: &str, away: &mut Away) {
         self.edit(|graph| {
             if let Some(component) = graph.components.get_mut(id) {
@@ -257,13 +258,14 @@ impl Gcm {
                 self.not_made(id, &refusal.to_string(), away);
             }
             Change::Connect { connection } => self.not_connected(connection, &refusal.to_string(), away),
-            // It exists, and stands as its LCM reports.
+            // The component exists, and stands as its LCM reports.
             Change::Run { .. } => away.note(id, format!("it is not started: {refusal}")),
             _ => away.note(id, refusal.to_string()),
         }
     }
 
-    /// Says beside components what of them did not come back, until their LCM reports anew. One in FAULT says why itself.
+    /// Notes beside components what of them did not come back, until their LCM reports anew. A component in
+    /// FAULT says why itself.
     fn noted(&self, away: Away) {
         for (id, whys) in away.notes {
             self.edit(|graph| {

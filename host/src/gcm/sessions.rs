@@ -1,6 +1,7 @@
 //! The processes: taken in, followed, lost, taken in again with what they still have.
 //!
-//! Invariant: a name belongs to one incarnation at a time; what a lost or replaced session still says changes nothing.
+//! Invariant: a name belongs to one incarnation at a time; news of a lost or replaced session changes
+//! nothing.
 
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
@@ -21,12 +22,13 @@ use super::observed::{loosen, observe, stand_by};
 use super::wanted::Wanted;
 use super::{Gcm, far};
 
-/// Longest wait until what an LCM has told is entered: it lies here already, unless some of it was lost and is asked again.
+/// Longest wait until the news of an LCM is entered: it lies here already, unless some was lost and is asked
+/// for again.
 const ENTERED: Duration = Duration::from_millis(500);
-/// Waits for that which may themselves wait.
+/// Calls that may wait for that at once.
 const ASKING: usize = 64;
 
-/// What a process says of itself when it registers.
+/// Facts a process tells when it registers.
 #[derive(Clone, Debug)]
 pub struct Registration {
     pub process: Name,
@@ -34,11 +36,11 @@ pub struct Registration {
     pub pid: u32,
     /// Random, one per incarnation of the process.
     pub instance: u128,
-    /// What this incarnation was given before; 0 = nothing yet.
+    /// Epoch this incarnation was given before; 0 = none yet.
     pub epoch: u64,
-    /// What it was told to have before; empty for a new process.
+    /// Components and connections it was told to have before; empty for a new process.
     pub slice: Slice,
-    /// What it is, of one without an LCM; empty otherwise.
+    /// Program of a process without an LCM; empty otherwise.
     pub guest: String,
 }
 
@@ -69,7 +71,7 @@ impl Registration {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Registered {
-    /// Of this stream; what a later one of the same process is told apart by.
+    /// Number of this stream; it tells a later stream of the same process apart.
     pub session: u64,
     pub epoch: u64,
     pub term: u64,
@@ -84,11 +86,12 @@ pub(super) struct Sessions {
     /// Number of the newest session.
     newest: u64,
     pub(super) wanted: Wanted,
-    /// Processes that were taken down, with the pid they had: what is still told of that one is late.
+    /// Processes that were taken down, with the pid they had: later news of that pid is stale.
     dismissed: BTreeMap<Name, u32>,
-    /// Connections to processes that are not there yet, by the process that brought them along from a GCM before this one.
+    /// Connections to processes that are not there yet, by the process that brought them along from a GCM
+    /// before this one.
     pub(super) brought: BTreeMap<Name, Vec<Connection>>,
-    /// Those that have joined without an LCM.
+    /// Guests that have joined without an LCM.
     pub(super) guests: BTreeMap<Name, Arc<GuestLcm>>,
     /// Number of the newest report of each component; see [`Report::number`].
     reported: BTreeMap<ComponentId, u64>,
@@ -98,14 +101,15 @@ struct Session {
     number: u64,
     pid: u32,
     lcm: Arc<dyn Lcm>,
-    /// Answered when the news there are then have been entered; closed with the session.
+    /// Questions that are answered when all present news has been entered; closed with the session.
     asks: mpsc::Sender<oneshot::Sender<()>>,
-    /// How other processes reach it.
+    /// Card other processes need to reach it.
     card: Option<Card>,
 }
 
 impl Sessions {
-    /// Whether this report was looked up later than all that were entered before. News and answers come by different ways.
+    /// Tells whether this report was looked up later than all that were entered before. News and answers come
+    /// by different ways.
     pub(super) fn is_newest(&mut self, report: &Report) -> bool {
         if report.number == 0 {
             return true;
@@ -125,7 +129,7 @@ impl Sessions {
         self.live.get(process).map(|s| s.number)
     }
 
-    /// It was here at some time in the life of this GCM.
+    /// Tells whether the process was here at some time in the life of this GCM.
     pub(super) fn knows(&self, process: &Name) -> bool {
         self.last.contains_key(process)
     }
@@ -135,12 +139,12 @@ impl Sessions {
         self.live.get(process).map(|s| s.pid)
     }
 
-    /// A process is away, and nothing is kept for it to come back to.
+    /// Takes a process down: it is away, and nothing is kept for it to come back to.
     pub(super) fn dismiss(&mut self, process: &Name, pid: u32) {
         self.live.remove(process);
         self.wanted.here(process, &[]);
         self.brought.remove(process);
-        // Those that were never spawned are told apart by nothing.
+        // Processes that were never spawned cannot be told apart by a pid.
         if pid != 0 {
             self.dismissed.insert(process.clone(), pid);
         }
@@ -150,7 +154,8 @@ impl Sessions {
         self.dismissed.get(process) == Some(&pid)
     }
 
-    /// The session of a process ends: its components stay listed as LOST. Answers its epoch, if that session counts.
+    /// Ends the session of a process: its components stay listed as LOST. Returns its epoch, if that session
+    /// counts.
     pub(super) fn lose(&mut self, graph: &mut SystemGraph, process: &Name, session: u64) -> Option<u64> {
         if self.holder(process) != Some(session) {
             return None;
@@ -168,7 +173,7 @@ impl Sessions {
     }
 }
 
-/// What a process is given when its name is free.
+/// Session and epoch of a process whose name was free.
 struct Claimed {
     session: u64,
     epoch: u64,
@@ -177,9 +182,9 @@ struct Claimed {
 }
 
 impl Gcm {
-    /// Takes a process in and follows its news until it is lost. One that comes back (same instance, or with a slice
-    /// from before this GCM) keeps its components and its epoch; another incarnation gets what the last one was to have,
-    /// made anew.
+    /// Takes a process in and follows its news until it is lost. A process that comes back (same instance, or
+    /// with a slice from before this GCM) keeps its components and its epoch; another incarnation gets what
+    /// the last one was to have, made anew.
     ///
     /// # Errors
     /// The name is taken by another process that is heard; the epoch cannot be made durable.
@@ -202,10 +207,10 @@ impl Gcm {
             }
             let empty = who.slice.components.is_empty() && inventory.components.is_empty();
             let begins = !back && empty && graph.components.keys().any(|id| id.process == who.process);
-            // It may be lost, and come back, in the middle of it.
+            // The process may be lost, and come back, in the middle of its restart.
             let goes_on = back && sessions.wanted.is_unfinished(&who.process);
             graph.proxies.retain(|_, half| half.process != who.process);
-            // It may count from the beginning.
+            // The process may count its reports from the beginning.
             sessions.reported.retain(|id, _| id.process != who.process);
             if begins || goes_on {
                 sessions.wanted.begin(&who.process);
@@ -216,7 +221,7 @@ impl Gcm {
                 sessions.wanted.here(&who.process, &owed);
             }
             strays = far::settle(&mut sessions, graph, &who);
-            // What is not configured yet does not have all its ports.
+            // A component that is not configured yet does not have all its ports.
             if gets_back.is_none() {
                 loose = inventory.components.iter().flat_map(|report| loosen(graph, &report.id)).collect();
             }
@@ -258,7 +263,7 @@ impl Gcm {
         Ok(Registered { session, epoch, term: self.term(), revision: self.graph().revision })
     }
 
-    /// The name is checked and taken in one step.
+    /// Checks the name and takes it, in one step.
     fn claim(
         &self,
         who: &Registration,
@@ -266,7 +271,7 @@ impl Gcm {
         asks: mpsc::Sender<oneshot::Sender<()>>,
         card: Option<Card>,
     ) -> Result<Claimed, Refusal> {
-        // Before the lock: whoever edits the graph may take that one inside.
+        // Taken before the lock: an editor of the graph may take the lock of the sessions inside.
         let graph = self.graph();
         let mut sessions = lock(&self.inner.sessions);
         let last = sessions.last.get(&who.process).copied();
@@ -281,9 +286,9 @@ impl Gcm {
         }
         let known = match last {
             Some((_, epoch)) if back => epoch,
-            // One that comes from a GCM before this one.
+            // A process that comes from a GCM before this one.
             None => who.epoch,
-            // Somebody else had the name meanwhile.
+            // Another process had the name meanwhile.
             Some(_) => 0,
         };
         let ids = &self.inner.ids;
@@ -298,7 +303,8 @@ impl Gcm {
         Ok(Claimed { session, epoch, back })
     }
 
-    /// A process is gone or silent; its components stay listed as LOST. Ignored for an older session.
+    /// Enters that a process is gone or silent; its components stay listed as LOST. Ignored for an older
+    /// session.
     pub fn lost(&self, process: &Name, session: u64) {
         let mut epoch = None;
         self.edit(|graph| epoch = lock(&self.inner.sessions).lose(graph, process, session));
@@ -317,8 +323,9 @@ impl Gcm {
         Err(graph.process(process).map_or_else(|unknown| unknown, |known| known.lost(process)))
     }
 
-    /// Waits until the graph has what the LCM of a process has told so far. An LCM tells its news before it answers, so whoever
-    /// passes on a refusal after this can be sure that the next look shows what came of it: a FAULT, for one.
+    /// Waits until the graph has what the LCM of a process has told so far. An LCM tells its news before it
+    /// answers. So a caller that passes on a refusal after this can be sure that the next look shows its
+    /// result, a FAULT for one.
     pub async fn hear_out(&self, process: &Name) {
         let asks = lock(&self.inner.sessions).live.get(process).map(|session| session.asks.clone());
         let Some(asks) = asks else { return };
@@ -329,7 +336,7 @@ impl Gcm {
                 let _ = told.await;
             }
         };
-        // What takes longer is a gap in the news, and is entered when it was asked again.
+        // News that takes longer is a gap, and is entered when it was asked for again.
         let _ = tokio::time::timeout(ENTERED, entered).await;
     }
 
@@ -345,7 +352,7 @@ pub(super) fn said_lost(process: &Name, epoch: Option<u64>) {
     }
 }
 
-/// Enters what a process has already that gets back what it was to have; the rest stays listed as lost.
+/// Enters the parts a process has already of those it gets back; the rest stays listed as lost.
 fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> Here {
     let mut here = Here::default();
     for report in &inventory.components {
@@ -362,8 +369,8 @@ fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -
     here
 }
 
-/// Enters what a process has: what it was told to have, as far as it still has it. Connections to other processes are
-/// [`far::settle`]'s.
+/// Enters the components and connections of a process: those it was told to have, as far as it still has
+/// them. [`far::settle`] handles the connections to other processes.
 fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) {
     let Slice { mut components, mut connections } = who.slice.clone();
     let mine = |c: &Connection| c.is_near() && c.ends_in(&who.process);
@@ -436,8 +443,8 @@ async fn follow(
         }
         let mut loose = Vec::new();
         gcm.edit_if(|graph| {
-            // An LCM tells its news before it answers. So all that is queued now is entered before any later answer is,
-            // and no state that was passed long ago comes back.
+            // An LCM tells its news before it answers. So all that is queued now is entered before any later
+            // answer is, and no state that was passed long ago comes back.
             let mut changed = first.is_some_and(|first| enter(&gcm, graph, &process, first, &mut loose));
             for _ in 0..news.len() {
                 match news.try_recv() {
@@ -465,7 +472,7 @@ async fn follow(
         }
         gcm.cut_off(loose);
         if let Some(tell) = tell {
-            // Who asked may have given up.
+            // The caller that asked may have given up.
             let _ = tell.send(());
         }
     }

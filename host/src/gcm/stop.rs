@@ -1,7 +1,8 @@
-//! Stop: it waits for nobody, stops all it can, and wins over whatever is being started at the same time.
+//! Stop: waits for no other request, stops all it can, and wins over whatever is being started at the same
+//! time.
 //!
-//! Invariant: a Stop is marked before it is planned, and a started component is entered in the graph before the marks are
-//! looked at; so one of the two always sees the other.
+//! Invariant: a Stop is marked before it is planned, and a started component is entered in the graph before
+//! the marks are looked at; so one of the two always sees the other.
 
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -47,8 +48,8 @@ impl<'a> Carrying<'a> {
         self.claim.marks(|marks| marks.moving.extend(moving));
     }
 
-    /// One change. What a Stop named meanwhile is not set in motion, or not left so; what hangs and is to be stopped or
-    /// removed is not waited for.
+    /// Carries out one change. A component that a Stop named meanwhile is not set in motion, or not left so.
+    /// A component that hangs and is to be stopped or removed is not waited for.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
         self.claim.doing(text::asked(change));
         let Change::Run { id, verb, to: State::Active, .. } = change else {
@@ -65,7 +66,8 @@ impl<'a> Carrying<'a> {
             biased;
             done = self.gcm.one(change, deadline) => done,
             refusal = self.given_up(change) => {
-                // Until it is known that it hangs, or does what it was told too late, nobody is told that it stands still.
+                // The caller is told that the component stands still only when its Stop is done or known to
+                // hang.
                 if let Err(e) = self.gcm.one(&stop, Instant::now() + HUNG).await {
                     log::error!("{} was given up: {e}", text::asked(change));
                 }
@@ -75,8 +77,8 @@ impl<'a> Carrying<'a> {
         let report = match done {
             Ok(report) => report,
             Err(refusal @ Refusal::LcmTimeout { .. }) => {
-                // It may still be done, late; nobody may be told that it failed and see it move. Not waited for: the
-                // caller's time is over.
+                // The start may still be done, late; no caller may be told that it failed and see the
+                // component move. The Stop is not waited for: the caller's time is over.
                 let gcm = self.gcm.clone();
                 tokio::spawn(async move { gcm.one(&stop, Instant::now() + UNDO).await });
                 return Err(refusal);
@@ -99,7 +101,7 @@ impl<'a> Carrying<'a> {
         Err(Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why })
     }
 
-    /// Ends when the component of the change hangs and somebody wants to be rid of it.
+    /// Ends when the component of the change hangs and is to be stopped or removed.
     async fn given_up(&self, change: &Change) -> Refusal {
         let (id, verb, moves) = match change {
             Change::Run { id, verb, to, .. } if !matches!(verb, Verb::Stop | Verb::Remove) => {
@@ -141,14 +143,15 @@ pub(super) fn names(target: &Target, id: &ComponentId) -> bool {
 }
 
 impl Gcm {
-    /// Never refused for a revision, never behind another request.
+    /// Stops; never refused for a revision, never behind another request.
     pub(super) async fn stop(&self, requests: &[Request], validate_only: bool, deadline: Instant) -> Answer {
         let (against, noted) = if validate_only { (false, false) } else { self.mark(requests) };
         let first = self.stop_now(requests, validate_only, noted, deadline).await;
         if !against {
             return first;
         }
-        // What was being started gives up at the mark; OK is said when it has, and again over what was not seen.
+        // A start under way gives up at the mark; OK is told after that, and the second Stop covers what the
+        // first did not see.
         let _claim = self.claim_part(requests, deadline, |_| Ok(Plan::default())).await?;
         let second = self.stop_now(requests, false, false, deadline).await;
         match (first, second) {
@@ -158,15 +161,15 @@ impl Gcm {
         }
     }
 
-    /// Tells whoever is carrying out a change, and those that come later. True: that change sets some of these components in
-    /// motion; and the revision is another one because of that which was stopped.
+    /// Tells the requests under way, and later ones, of these Stops. Returns whether a change under way sets
+    /// some of these components in motion, and whether the Stops made a new revision.
     fn mark(&self, requests: &[Request]) -> (bool, bool) {
         let targets = requests.iter().flat_map(|r| match r {
             Request::Stop { targets } => targets.as_slice(),
             _ => &[],
         });
         let targets: Vec<Target> = targets.cloned().collect();
-        // What is refused changes nothing.
+        // A refused Stop changes nothing.
         let noted = plan_all(&self.graph(), requests).is_ok() && self.keep_stopped(&targets);
         let against = self.inner.claims.mark(|marks| {
             marks.stops.extend(targets.iter().cloned());
@@ -175,8 +178,8 @@ impl Gcm {
         (against, noted)
     }
 
-    /// Tells whoever is carrying out a change which components are removed by force: those that hang are not waited for.
-    /// Answers the one that is, when that is all that is asked.
+    /// Tells the requests under way which components are removed by force: those that hang are not waited
+    /// for. Returns the component to be removed, when the request is nothing else.
     ///
     /// # Errors
     /// There is no such component. One that is only just being made is not waited for.
@@ -207,7 +210,7 @@ impl Gcm {
         Ok(alone)
     }
 
-    /// `counted`: it has its revision already.
+    /// Stops once; `counted`: the Stop has its revision already.
     async fn stop_now(
         &self,
         requests: &[Request],
@@ -226,7 +229,7 @@ impl Gcm {
         Ok(done)
     }
 
-    /// Side by side, so that one that hangs delays no other.
+    /// Stops side by side, so that a component that hangs delays no other.
     async fn stop_all(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
         let stops: Vec<_> = done
             .plan
@@ -255,7 +258,7 @@ impl Gcm {
     }
 }
 
-/// Two passes of one Stop as one answer.
+/// Joins the two passes of one Stop into one answer.
 fn joined(first: Executed, second: Executed) -> Executed {
     let stopped = |id: &ComponentId| first.reports.iter().any(|r| r.id == *id);
     let mut skipped = second.plan.skipped;

@@ -1,7 +1,7 @@
-//! The system as a file, compared with one, and made what one says.
+//! The system as a file: compared with one, and made as one says.
 //!
-//! Invariant: what is compared is what is changed: a change is refused when the graph has moved on since, and
-//! compared anew.
+//! Invariant: the compared system is the changed one: a change is refused when the graph has moved on since,
+//! and compared anew.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -19,8 +19,8 @@ use crate::system_file::{Difference, Running, SystemFile};
 const ATTEMPTS: usize = 5;
 
 impl Gcm {
-    /// Makes the system what the text of a system file says: all of it, or nothing. `prune`: also what the
-    /// file's processes have and the file does not goes.
+    /// Makes the system as the text of a system file says: all of it, or nothing. `prune`: removes also what
+    /// the file's processes have and the file does not.
     ///
     /// # Errors
     /// ArgumentInvalid for a text that is no system file; otherwise as [`Gcm::execute`].
@@ -60,16 +60,17 @@ impl Gcm {
         lock(&self.inner.holds).all()
     }
 
-    /// Compares the system with what the text of a system file says; answers the revision, too.
+    /// Compares the system with the text of a system file; returns the revision, too.
     ///
     /// # Errors
-    /// ArgumentInvalid for a text that is no system file; what refuses a component of it.
+    /// ArgumentInvalid for a text that is no system file; the refusal of a component of it.
     pub fn compare(&self, text: &str) -> Result<(u64, Difference), Refusal> {
         let (file, graph) = (parsed("Compare", text)?, self.graph());
         Ok((graph.revision, file.difference(&graph, &self.held(), true)?))
     }
 
-    /// The text of a file in `folder` that makes the system again, what it does not say, and the revision.
+    /// Returns the text of a file in `folder` that makes the system again, what it does not say, and the
+    /// revision.
     pub fn save(
         &self,
         folder: &Path,

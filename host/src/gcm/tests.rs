@@ -1,4 +1,4 @@
-//! What a GCM promises, against an LCM that does as it is told.
+//! Promises of a GCM, against an LCM that does as it is told.
 #![allow(clippy::unwrap_used)]
 
 mod apart;

@@ -14,7 +14,7 @@ pub(crate) fn lines(plan: &Plan) -> Vec<String> {
     plan.changes.iter().enumerate().map(one).collect()
 }
 
-/// What of its execution differs, when a component is made anew.
+/// Returns the differences in execution, when a component is made anew.
 fn anew(change: &Change, before: &[Change]) -> Option<String> {
     let Change::Create { id, component } = change else { return None };
     before.iter().rev().find_map(|earlier| match earlier {
@@ -30,7 +30,7 @@ fn braced(changes: &[String]) -> String {
     if changes.is_empty() { String::new() } else { format!(" {{{}}}", changes.join(", ")) }
 }
 
-/// What a change is called in a plan or a log line.
+/// Returns the line for a change in a plan or a log.
 pub(super) fn line(change: &Change) -> String {
     match change {
         Change::Create { id, component } => format!("+ create {id} ({})", component.class.full_name()),
@@ -58,7 +58,7 @@ pub(super) fn line(change: &Change) -> String {
     }
 }
 
-/// What is waited for when a change takes too long: "Start host/robot".
+/// Returns the name of a change that takes too long: "Start host/robot".
 pub(crate) fn asked(change: &Change) -> String {
     match change {
         Change::Create { id, .. } => format!("Create {id}"),

@@ -1,7 +1,7 @@
-//! How components should stand whose process is away, or gets them back: the graph says how they were seen last.
+//! Wanted states of components whose process is away, or gets them back: the graph has the states seen last.
 //!
-//! Invariant: what was stopped while its process was away is kept in mind until it stands still, whatever becomes of the
-//! process meanwhile; and what was decided before it was stopped does not set it in motion.
+//! Invariant: a component that was stopped while its process was away is kept in mind until it stands still,
+//! whatever becomes of the process meanwhile; a decision made before the Stop does not set it in motion.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use super::execute::id_of;
 use super::manager::lock;
 use super::stop::names;
 
-/// Time to stop what was stopped while its process was away.
+/// Time to stop the components that were stopped while their process was away.
 const WITHIN: Duration = Duration::from_secs(5);
 
 #[derive(Default)]
@@ -28,7 +28,7 @@ pub(super) struct Wanted {
 }
 
 impl Wanted {
-    /// A process gets back what it was to have.
+    /// Notes that a process gets back the components it was to have.
     pub(super) fn begin(&mut self, process: &Name) {
         self.unfinished.insert(process.clone());
     }
@@ -37,13 +37,14 @@ impl Wanted {
         self.unfinished.contains(process)
     }
 
-    /// How the components of a process should stand: kept from the first time on, since making them changes what is seen.
+    /// Returns the wanted states of the components of a process. They are kept from the first call on, since
+    /// making the components changes the states seen.
     pub(super) fn of(&mut self, graph: &SystemGraph, process: &Name) -> BTreeMap<ComponentId, State> {
         let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
         mine.map(|(id, c)| (id.clone(), *self.states.entry(id.clone()).or_insert(c.state))).collect()
     }
 
-    /// What was seen in state `seen` is to stand still when it comes back. True: that is new.
+    /// Notes that a component seen in state `seen` is to stand still when it comes back. True: that is new.
     fn stop(&mut self, id: &ComponentId, seen: State) -> bool {
         let state = self.states.get(id).copied().unwrap_or(seen);
         let moves_again = matches!(state, State::Active | State::Fault | RESTARTED);
@@ -53,19 +54,19 @@ impl Wanted {
         moves_again
     }
 
-    /// It is stopped while its process is here, which may be about to be started again.
+    /// Notes a Stop while the process is here, which may be about to be started again.
     fn stop_again(&mut self, id: &ComponentId) {
         if let Some(state) = self.states.get_mut(id) {
             *state = REQUESTED;
         }
     }
 
-    /// The process was to be started again and was not; what was stopped is kept in mind.
+    /// Notes that the process was to be started again and was not; stopped components are kept in mind.
     pub(super) fn stays(&mut self, process: &Name) {
         self.states.retain(|id, state| id.process != *process || *state == REQUESTED);
     }
 
-    /// What was to be stopped and is seen otherwise.
+    /// Returns the components that were to be stopped and are seen otherwise.
     pub(super) fn owed(&self, graph: &SystemGraph, process: &Name) -> Vec<(ComponentId, State)> {
         let stopped = self.states.iter().filter(|(id, to)| id.process == *process && **to == REQUESTED);
         let owed = stopped.filter_map(|(id, _)| {
@@ -75,7 +76,7 @@ impl Wanted {
         owed.collect()
     }
 
-    /// The process is here; nothing but `owed` is kept in mind of it.
+    /// Notes that the process is here; only `owed` is kept in mind of it.
     pub(super) fn here(&mut self, process: &Name, owed: &[(ComponentId, State)]) {
         self.unfinished.remove(process);
         self.states.retain(|id, _| id.process != *process || owed.iter().any(|(other, _)| other == id));
@@ -86,8 +87,9 @@ const RESTARTED: State = State::Stopped(StopReason::Restarted);
 const REQUESTED: State = State::Stopped(StopReason::Requested);
 
 impl Gcm {
-    /// Keeps in mind what is stopped and cannot be told, because its process is away. True: what is stopped might have been
-    /// set in motion by itself, and the revision is another one, so that nothing that was decided before does that.
+    /// Notes components that are stopped and cannot be told, because their process is away. True: a component
+    /// that might have been set in motion by itself is now to stand still, and the revision is a new one, so
+    /// that no earlier decision sets it in motion.
     pub(super) fn keep_stopped(&self, targets: &[Target]) -> bool {
         let mut noted = false;
         self.edit_if(|graph| {
@@ -112,7 +114,7 @@ impl Gcm {
         noted
     }
 
-    /// Stops a component. One whose process goes away meanwhile is stopped when that comes back.
+    /// Stops a component. If its process goes away meanwhile, it is stopped when that process comes back.
     pub(super) async fn stop_one(&self, stop: &Change, deadline: Instant) -> Result<Report, Refusal> {
         let id = id_of(stop);
         let asked = lock(&self.inner.sessions).holder(&id.process);
@@ -133,7 +135,7 @@ impl Gcm {
         if is_back { self.one(stop, deadline).await } else { Err(lost) }
     }
 
-    /// Stops what was stopped while its process was away, which has come back as it was.
+    /// Stops the components that were stopped while their process was away, which has come back as it was.
     pub(super) fn stop_owed(&self, session: u64, owed: Vec<(ComponentId, State)>) {
         for (id, _) in owed {
             let gcm = self.clone();
@@ -141,7 +143,7 @@ impl Gcm {
                 log::warn!("{id} was stopped while its process was away, and runs: it is stopped now");
                 let request = [Request::Stop { targets: vec![Target::One(id.clone())] }];
                 match gcm.stop(&request, false, Instant::now() + WITHIN).await {
-                    // It is stopped when the process is back again.
+                    // The component is stopped when the process is back again.
                     Err(Refusal::ProcessLost { .. }) => return,
                     Err(refusal) => log::error!("{id} cannot be stopped: {refusal}"),
                     Ok(_) => {}

@@ -15,7 +15,7 @@ use crate::cli::failure::Failure;
 
 pub(super) struct Arrays {
     topics: BTreeMap<String, Columns>,
-    /// So much memory they may take, and take, B.
+    /// Bounds of the memory that the arrays may take, and the bytes they take, B.
     bounds: Bounds,
     bytes: usize,
 }
@@ -42,13 +42,13 @@ impl Columns {
     fn room_for(&self, name: &str, plane: &Plane) -> (usize, bool) {
         let first = self.planes.get(name).unwrap_or(plane);
         let fits = (first.item, &first.shape) == (plane.item, &plane.shape);
-        // Not larger than bytes that were there once, each of both.
+        // Neither a row nor the number of rows is larger than bytes that were there once.
         let row = first.shape.iter().product::<usize>() * first.item.bytes();
         (if fits { plane.bytes.len() } else { row.saturating_mul(plane.rows) }, fits)
     }
 
-    /// Adds the rows of a frame. A frame of another shape than the first is as many rows of zeros: rows stay with
-    /// their times.
+    /// Adds the rows of a frame. A frame of another shape than the first becomes as many rows of zeros: rows
+    /// stay with their times.
     fn add_plane(&mut self, name: String, plane: Plane) {
         let (more, fits) = self.room_for(&name, &plane);
         let first = self.planes.entry(name).or_insert_with(|| Plane {
@@ -68,7 +68,7 @@ impl Columns {
         (8 * row + 8).saturating_sub(there.unwrap_or(0)) + if there.is_none() { name.len() } else { 0 }
     }
 
-    /// Whether the value has a place.
+    /// Adds a value; tells whether it has a place.
     fn add(&mut self, name: String, item: Item, bits: [u8; 8], row: usize) -> bool {
         let (kind, values) = self.fields.entry(name).or_insert((item, Vec::new()));
         // A message without the field leaves a gap: not a number, or zero.
@@ -116,7 +116,7 @@ impl Sink for Arrays {
                     view.texts += 1;
                     continue;
                 }
-                // They were placed.
+                // Bytes were placed above.
                 Cell::Bytes(_) => continue,
             };
             self.bytes = self.bounds.memory(self.bytes.saturating_add(columns.room_in(&name, row)))?;

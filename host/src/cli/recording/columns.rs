@@ -13,7 +13,7 @@ use super::types::Types;
 const MOST: usize = 4096;
 /// Fields of one message that are looked at, values or not.
 const STEPS: u64 = 4 * MOST as u64;
-/// Types inside each other, of which columns are made before one has come.
+/// Depth of types inside each other to which columns are made before a message has come.
 const DEEP: usize = 32;
 /// Longest name of a value, B.
 const NAME: usize = 1024;
@@ -25,7 +25,7 @@ pub(in crate::cli) enum Cell {
     Whole(i64),
     Large(u64),
     Text(String),
-    /// Of an enum: its number and name.
+    /// Value of an enum: its number and name.
     Named(i64, String),
     /// Bytes: as a text only their number.
     Bytes(Bytes),
@@ -35,9 +35,9 @@ pub(in crate::cli) enum Cell {
 #[derive(Default)]
 pub(super) struct Values {
     pub(super) row: Vec<(String, Cell)>,
-    /// How many there was no room for.
+    /// Number of values that there was no room for.
     pub(super) left_out: u64,
-    /// Fields that were looked at.
+    /// Number of fields that were looked at.
     pub(super) steps: u64,
     /// The types around the field that is looked at.
     around: Vec<MessageDescriptor>,
@@ -52,13 +52,14 @@ impl Values {
         }
     }
 
-    /// Whether another field may be looked at.
+    /// Counts a step; tells whether another field may be looked at.
     fn step(&mut self) -> bool {
         self.steps += 1;
         self.steps <= STEPS
     }
 
-    /// Whether a message that is not there has columns: a type within itself would have them without an end.
+    /// Tells whether a message that is not there has columns: a type within itself would have them
+    /// without an end.
     fn has_columns(&self, of: &MessageDescriptor) -> bool {
         self.around.len() < DEEP && !self.around.contains(of)
     }
@@ -67,7 +68,7 @@ impl Values {
 /// Reads the messages of one channel.
 pub(super) struct Reader {
     message: Option<MessageDescriptor>,
-    /// Why it can read none; empty where nothing is wrong.
+    /// Reason why it can read none; empty where nothing is wrong.
     pub(super) wrong: String,
 }
 
@@ -173,7 +174,7 @@ fn value(value_of: &Value, name: &str, field: &FieldDescriptor, all: &mut Values
 }
 
 impl Cell {
-    /// As a spreadsheet reads it.
+    /// Returns the text as a spreadsheet reads it.
     pub(super) fn text(&self) -> String {
         match self {
             // Far from 1, its digits are too many to be read.

@@ -1,7 +1,7 @@
 //! The fuzz target of reading: the corpus of `tests/data/recordings`, as it is and changed in any way.
 //!
-//! Invariant: each file is answered or refused in a sentence, never by a panic, and within the bounds of cost.
-//! `TROCAR_SEEDS=n` plays n times as many changes, as `./tests/run --all` does.
+//! Invariant: each file is answered or refused in a sentence, never by a panic, and within the bounds of
+//! cost. `TROCAR_SEEDS=n` plays n times as many changes, as `./tests/run --all` does.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use super::info::{Counted, InfoView, look};
 use super::sink::{Bounds, ExportView};
 use crate::cli::failure::Failure;
 
-/// By name, without their ending.
+/// Returns the recordings by name, without their ending.
 fn corpus() -> BTreeMap<String, Vec<u8>> {
     let place = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/recordings");
     let files = std::fs::read_dir(place).expect("the corpus").map(|file| file.expect("a file").path());
@@ -53,7 +53,7 @@ fn see(bytes: &[u8]) -> Seen {
     Seen { info: look(&path, &ProgressBar::hidden()), exports: each.into(), tables }
 }
 
-/// Checks what holds of each recording, whatever is in it.
+/// Checks what holds for each recording, whatever is in it.
 fn answered(name: &str, len: usize, seen: &Seen) {
     let failures =
         seen.exports.values().filter_map(|done| done.as_ref().err()).chain(seen.info.as_ref().err());
@@ -182,7 +182,7 @@ fn change() -> impl Strategy<Value = Change> {
     ]
 }
 
-/// So many changed recordings.
+/// Returns the number of changed recordings.
 fn cases() -> u32 {
     200 * std::env::var("TROCAR_SEEDS").ok().and_then(|n| n.parse::<u32>().ok()).unwrap_or(1)
 }

@@ -1,13 +1,14 @@
-//! What ends a recording from outside: Ctrl-C, a closed terminal, or an end that was asked for.
+//! Ends of a recording from outside: Ctrl-C, a closed terminal, or an end that was asked for.
 //!
-//! Invariant: what was ignored when the program was begun stays so: `nohup` and shells that run it in the background mean it.
+//! Invariant: a signal that was ignored when the program began stays ignored: `nohup` and shells that run it
+//! in the background mean it.
 
 use std::future::poll_fn;
 use std::task::Poll;
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// Heard from when it is made, so that none ends the program meanwhile.
+/// Signals, heard from the creation on, so that none ends the program meanwhile.
 pub(super) struct Ends(Vec<Signal>);
 
 impl Ends {
@@ -16,7 +17,7 @@ impl Ends {
         let ignored = ignored(&status);
         let ends = [SignalKind::interrupt(), SignalKind::hangup(), SignalKind::terminate()];
         let heard = ends.into_iter().filter(|kind| ignored >> (kind.as_raw_value() - 1) & 1 == 0);
-        // One that cannot be heard ends the program, as it does those that hear none.
+        // A signal that cannot be heard ends the program, as it does without this.
         Ends(heard.filter_map(|kind| signal(kind).ok()).collect())
     }
 

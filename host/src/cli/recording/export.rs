@@ -30,7 +30,8 @@ pub(in crate::cli) struct ExportArgs {
     /// One CSV file per topic.
     #[arg(long)]
     csv: bool,
-    /// One NumPy file: arrays TOPIC/FIELD, TOPIC/log_time_ns, TOPIC/publish_time_ns; frames but pictures as TOPIC/data.
+    /// One NumPy file: arrays TOPIC/FIELD, TOPIC/log_time_ns, TOPIC/publish_time_ns; frames but pictures
+    /// as TOPIC/data.
     #[arg(long)]
     npz: bool,
     /// One picture per image.
@@ -89,7 +90,7 @@ fn place(args: &ExportArgs) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// Writes what is wanted.
+/// Writes the export.
 pub(super) fn export(args: &ExportArgs, output: &Path, bar: &ProgressBar) -> Result<ExportView, Failure> {
     let bounds = Bounds::of(std::fs::metadata(&args.file).map_or(0, |file| file.len()));
     let sink: Box<dyn Sink> = if args.npz {
@@ -167,14 +168,14 @@ struct Exporting {
     to_ns: u64,
     patterns: Vec<String>,
     begin_ns: Option<u64>,
-    /// Of its last message.
+    /// Log time of its last message.
     end_ns: u64,
-    /// Messages that the patterns name, and of them those in that time.
+    /// Messages that the patterns name, and those of them in that time.
     meant: u64,
     within: u64,
     bounds: Bounds,
     types: Types,
-    /// By its number, whether it is meant, and its reader when one was needed.
+    /// By channel number: whether the channel is meant, and its reader when one was needed.
     channels: BTreeMap<u16, (bool, Option<Reader>)>,
     sink: Box<dyn Sink>,
     view: ExportView,
@@ -182,7 +183,7 @@ struct Exporting {
 }
 
 impl Exporting {
-    /// Why nothing was written, and what there is.
+    /// Tells why nothing was written, and what there is.
     fn nothing(&self, file: &Path, png: bool, whole: &Whole) -> Failure {
         let wanted = if self.patterns.is_empty() { "outputs".to_owned() } else { self.patterns.join(" ") };
         let lasts = units::time(self.end_ns.saturating_sub(self.begin_ns.unwrap_or(self.end_ns)));
@@ -207,7 +208,7 @@ impl Exporting {
         let names: BTreeSet<&str> = whole.channels.values().map(|c| c.topic.as_str()).collect();
         let names: Vec<&str> = names.into_iter().collect();
         let close = meant(self.patterns.iter().map(String::as_str), &names);
-        // What could not be read may have had it.
+        // The part that could not be read may have had such a message.
         let unread = match whole.wrong.as_str() {
             "" => String::new(),
             wrong => format!(", as far as it can be read: {wrong}"),

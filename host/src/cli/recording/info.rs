@@ -1,7 +1,7 @@
-//! `trocar info F`: what is in a recording, also in one that was cut off.
+//! `trocar info F`: the content of a recording, also of one that was cut off.
 //!
-//! Invariant: the counts are those of the messages that can be read, not what the file says of itself. Where chunks
-//! cannot be read, they are what the file says, or not known, and the answer tells which.
+//! Invariant: the counts are those of the messages that can be read, not what the file says of itself. Where
+//! chunks cannot be read, they are what the file says, or not known, and the answer tells which.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -42,7 +42,7 @@ pub(super) struct TopicView {
     rate_hz: f64,
     /// Samples that are missing, as far as the recorder could write it down.
     lost: u64,
-    /// How often what it came from went away: its connection, or the process.
+    /// Number of times that its source went away: the connection, or the process.
     interrupted: u64,
 }
 
@@ -52,7 +52,7 @@ pub(super) struct InfoView {
     bytes: u64,
     profile: String,
     library: String,
-    /// Closed as it should be; else `wrong` says what is not.
+    /// True: closed as it should be; else `wrong` says what is not.
     whole: bool,
     pub(super) wrong: String,
     #[serde(skip)]
@@ -60,12 +60,12 @@ pub(super) struct InfoView {
     pub(super) messages: u64,
     pub(super) counted: Counted,
     lost: u64,
-    /// Whether a recorder told of losses; else `lost` is not known.
+    /// True: a recorder told of losses; else `lost` is not known.
     loss_told: bool,
-    /// Of all topics.
+    /// Sum over all topics.
     interrupted: u64,
     duration_s: f64,
-    /// Of the first message, ns since the Unix epoch; 0 = not known.
+    /// Time of the first message, ns since the Unix epoch; 0 = not known.
     begin_unix_ns: i128,
     reason: String,
     pub(super) topics: Vec<TopicView>,
@@ -85,7 +85,7 @@ pub(super) enum Counted {
     Part,
 }
 
-/// The topic on which the recorder tells what is missing so far.
+/// Topic on which the recorder tells the losses so far.
 const LOSS: &str = "/recorder/loss";
 
 struct Counting {
@@ -95,14 +95,14 @@ struct Counting {
     bar: ProgressBar,
 }
 
-/// What is missing, as the recorder wrote it down: at the end, or last before the file was cut off.
+/// Losses as the recorder wrote them down: at the end, or last before the file was cut off.
 #[derive(Debug, Default, PartialEq)]
 struct Missing {
     lost: u64,
     interrupted: u64,
     lost_of: BTreeMap<String, u64>,
     interrupted_of: BTreeMap<String, u64>,
-    /// Recorded, and nothing has come.
+    /// Topics that were recorded, and gave nothing.
     silent: BTreeSet<String>,
 }
 
@@ -145,7 +145,7 @@ pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
     Ok(if view.whole { Exit::Ok } else { Exit::Partial })
 }
 
-/// All that is shown of a recording.
+/// Reads all that is shown of a recording.
 pub(super) fn look(file: &Path, bar: &ProgressBar) -> Result<InfoView, Failure> {
     let mut counting = Counting { topics: BTreeMap::new(), loss: Vec::new(), bar: bar.clone() };
     let whole = super::read_safely(file, &mut counting)?;
@@ -162,7 +162,7 @@ pub(super) fn look(file: &Path, bar: &ProgressBar) -> Result<InfoView, Failure> 
             ..TopicView::default()
         });
     }
-    // What is lost of a tap or a pair of images is counted for the output, whose topics lie below it.
+    // Losses of a tap or a pair of images are counted for the output, whose topics lie below it.
     for name in missing.lost_of.keys().chain(missing.interrupted_of.keys()).chain(&missing.silent) {
         let topic = || TopicView { topic: name.clone(), ..TopicView::default() };
         topics.entry(name.clone()).or_insert_with(topic);
@@ -223,7 +223,7 @@ fn told_by(whole: &Whole, told: &Statistics, topics: &mut BTreeMap<String, Topic
 }
 
 impl Missing {
-    /// The recorder closed the file.
+    /// Reads the losses of a file that the recorder closed.
     fn at_the_end(whole: &Whole) -> Missing {
         let number = |value: &str| value.parse().unwrap_or(0);
         let sum = |key: &str| whole.told("trocar.end", key).map_or(0, number);
@@ -245,7 +245,8 @@ impl Missing {
         missing
     }
 
-    /// It did not, or has not yet: what its last message of [`LOSS`] says.
+    /// Reads the losses of a file that the recorder did not close, or has not yet, from the last
+    /// message of [`LOSS`].
     fn so_far(message: &[u8]) -> Missing {
         let told: Value = serde_json::from_slice(message).unwrap_or_default();
         let of = |key: &str| -> BTreeMap<String, u64> {

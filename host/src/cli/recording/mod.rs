@@ -1,6 +1,6 @@
 //! Recordings: made by a recorder component, read here.
 //!
-//! Invariant: what a file says is a stranger's word: lengths, names and numbers in it are checked before they are used.
+//! Invariant: a file is not trusted: lengths, names and numbers in it are checked before they are used.
 
 mod arrays;
 pub(super) mod columns;
@@ -57,7 +57,7 @@ fn listed(names: &[&str]) -> String {
     format!("{}{more}", shown.join(", "))
 }
 
-/// That a topic has gaps that no counter of losses knows.
+/// Says that a topic has gaps that no counter of losses knows.
 fn interrupted(topic: &str, times: u64) -> String {
     let times = if times > 1 { format!(", {times} times") } else { String::new() };
     format!("{}: its connection or the process of its source went away{times}", shown(topic))
@@ -74,7 +74,7 @@ fn read_safely(file: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure> {
     })
 }
 
-/// How far a recording has been read, in bytes, where somebody looks.
+/// Shows on a terminal how far a recording has been read, in bytes.
 fn reading_bar(file: &Path, json: bool) -> ProgressBar {
     if json || !style::interactive() {
         return ProgressBar::hidden();

@@ -16,17 +16,17 @@ pub(super) struct Npz {
     failed: Rc<RefCell<Option<io::Error>>>,
 }
 
-/// The file, until it takes no more: what comes then goes nowhere, and counts as written. The zip's writer ends its file whenever it
-/// is dropped, and would print that it cannot.
+/// The file, until it takes no more: later bytes go nowhere, and count as written. The zip's writer ends its
+/// file whenever it is dropped, and would print that it cannot.
 struct Target {
     file: File,
-    /// Where the next byte would be.
+    /// Position of the next byte.
     at: u64,
     failed: Rc<RefCell<Option<io::Error>>>,
 }
 
 impl Target {
-    /// What is done with the file, unless it has failed before.
+    /// Does `what` with the file; once it has failed, returns `instead`.
     ///
     /// # Errors
     /// It was interrupted, and can be done again.
@@ -69,7 +69,7 @@ impl Seek for Target {
     }
 }
 
-/// What an array's items are.
+/// Type of an array's items.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Item {
     F64,
@@ -82,7 +82,7 @@ pub(super) enum Item {
 }
 
 impl Item {
-    /// As NumPy names it.
+    /// Returns NumPy's name of the type.
     fn name(self) -> &'static str {
         match self {
             Item::F64 => "<f8",
@@ -95,7 +95,7 @@ impl Item {
         }
     }
 
-    /// Of one item.
+    /// Returns the size of one item, B.
     pub(super) fn bytes(self) -> usize {
         match self {
             Item::F64 | Item::I64 | Item::U64 => 8,
@@ -112,7 +112,7 @@ impl Npz {
         Npz { zip: ZipWriter::new(Target { file, at: 0, failed: Rc::clone(&failed) }), failed }
     }
 
-    /// What went wrong so far.
+    /// Returns the error so far.
     fn check(failed: &RefCell<Option<io::Error>>) -> io::Result<()> {
         let said = |e: &io::Error| Err(io::Error::new(e.kind(), e.to_string()));
         failed.borrow().as_ref().map_or(Ok(()), said)

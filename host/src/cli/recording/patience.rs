@@ -1,40 +1,45 @@
 //! A manager that is away while something is recorded: asked again, for a while.
 //!
-//! Invariant: whoever waits is told so, and may end it.
+//! Invariant: a person who waits is told so, and may end it.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use indicatif::ProgressBar;
+use tokio::time::Instant;
 
 use super::ends::Ends;
 use crate::cli::failure::Failure;
 use crate::cli::out;
+use crate::cli::session::holding::Holding;
 
-/// How long a manager that is away is waited for: one that was ended by mistake is back in seconds, and the recorder goes on without.
+/// Time that a manager that is away is waited for. A manager that was ended by mistake is back in seconds,
+/// and the recorder goes on without it.
 const AWAY: Duration = Duration::from_secs(10);
-/// How often it is asked.
+/// Pause between two questions.
 const AGAIN: Duration = Duration::from_millis(200);
 
 /// Asks again while the manager is away, and says so; recorders do not need one to go on.
 pub(super) struct Patience<'a> {
+    /// The recorder, which ends with this program.
+    held: &'a Holding,
     bar: Option<&'a ProgressBar>,
-    /// What ends the waiting before its time.
+    /// Events that end the waiting before its time.
     ends: Option<&'a mut Ends>,
     since: Option<Instant>,
     pub(super) is_over: bool,
 }
 
 impl<'a> Patience<'a> {
-    pub(super) fn new(bar: Option<&'a ProgressBar>, ends: Option<&'a mut Ends>) -> Self {
-        Self { bar, ends, since: None, is_over: false }
+    pub(super) fn new(held: &'a Holding, bar: Option<&'a ProgressBar>, ends: Option<&'a mut Ends>) -> Self {
+        Self { held, bar, ends, since: None, is_over: false }
     }
 
-    /// Whether it is a manager that is away.
+    /// Tells whether the failure is a manager that is away.
     pub(super) fn is_away(failure: &Failure) -> bool {
         failure.reason == "NO_GCM"
     }
 
-    /// What it answers in the end. One that is back may have to hear its processes first.
+    /// Returns the manager's answer in the end. A manager that is back may have to hear its processes first.
     pub(super) async fn wait<T>(
         &mut self,
         asked: impl AsyncFn() -> Result<T, Failure>,
@@ -42,8 +47,11 @@ impl<'a> Patience<'a> {
         loop {
             match asked().await {
                 Ok(answer) => {
-                    if self.since.take().is_some() {
-                        self.say("it answers again");
+                    if let Some(since) = self.since.take() {
+                        // A manager that was made anew knows this program's hold a moment later.
+                        let stands = self.held.stands(since + AWAY).await;
+                        let but = "; but it would not end the recorder with this program";
+                        self.say(&format!("it answers again{}", if stands { "" } else { but }));
                     }
                     return Ok(answer);
                 }

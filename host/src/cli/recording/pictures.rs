@@ -26,7 +26,7 @@ pub(super) struct Picture {
     bytes: Vec<u8>,
 }
 
-/// What is in a message of an image's schema.
+/// Content of a message of an image's schema.
 pub(super) enum Found {
     Picture(Picture),
     /// A file of its own kind: its ending and bytes.
@@ -35,7 +35,8 @@ pub(super) enum Found {
     None(&'static str),
 }
 
-/// Whether a message of this schema and with these values is one that PNG or a file of its own has a word for.
+/// Tells whether a message of this schema and with these values can be written as PNG or as a file
+/// of its own kind.
 pub(super) fn is_one(schema: &str, row: &Row<'_>) -> bool {
     match schema {
         "foxglove.RawImage" => row.encoding().is_some_and(|encoding| pixels(encoding).is_some()),

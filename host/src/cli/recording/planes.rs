@@ -10,13 +10,13 @@ use super::npz::Item;
 /// Largest side of an image, pixels.
 const LARGEST: usize = 1 << 15;
 
-/// What one message adds to an array.
+/// Part of an array that one message adds.
 #[derive(Debug, PartialEq)]
 pub(super) struct Plane {
     pub(super) item: Item,
-    /// Along the first axis.
+    /// Length along the first axis.
     pub(super) rows: usize,
-    /// Of one row.
+    /// Shape of one row.
     pub(super) shape: Vec<usize>,
     pub(super) bytes: Vec<u8>,
 }
@@ -52,7 +52,8 @@ impl Row<'_> {
 }
 
 impl Plane {
-    /// Lines of samples as the header counts them, an image's rows without what lies between them; else bytes as they are.
+    /// Reads lines of samples as the header counts them, or an image's rows without the bytes between them;
+    /// else the bytes as they are.
     pub(super) fn of(row: &Row<'_>, name: &str, bytes: &Bytes) -> Plane {
         let known = if name == "data" { lines(row, bytes).or_else(|| image(row, bytes)) } else { None };
         known.unwrap_or_else(|| Plane {

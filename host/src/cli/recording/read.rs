@@ -1,7 +1,8 @@
 //! An MCAP file from its first byte to its last good one.
 //!
-//! Invariant: no more memory is asked for than the file has bytes; where a file is cut off or damaged, everything before
-//! that place is given, and the place is told. A chunk gives nothing when its checksum does not fit its bytes.
+//! Invariant: no more memory is asked for than the file has bytes. Where a file is cut off or damaged,
+//! everything before that place is given, and the place is told. A chunk gives nothing when its checksum does
+//! not fit its bytes.
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
@@ -38,18 +39,18 @@ pub(super) struct Schema {
     pub(super) data: Vec<u8>,
 }
 
-/// What is told of a file while it is read.
+/// Receiver of a file's messages while it is read.
 pub(super) trait Takes {
-    /// A message of a channel whose record came before.
+    /// Takes a message of a channel whose record came before.
     ///
     /// # Errors
     /// Ends the reading.
     fn message(&mut self, channel: &Channel, header: &MessageHeader, data: &[u8]) -> Result<(), Failure>;
-    /// So many bytes were read.
+    /// Tells that so many bytes were read.
     fn progress(&mut self, _bytes: u64) {}
 }
 
-/// What stands in the file beside its messages.
+/// Content of the file beside its messages.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Whole {
     pub(super) profile: String,
@@ -57,7 +58,7 @@ pub(super) struct Whole {
     pub(super) channels: BTreeMap<u16, Channel>,
     pub(super) metadata: Vec<(String, BTreeMap<String, String>)>,
     pub(super) bytes: u64,
-    /// It has its end; else it was cut off or is damaged, and `wrong` says how.
+    /// True: the file has its end; else it was cut off or is damaged, and `wrong` says how.
     pub(super) closed: bool,
     pub(super) wrong: String,
     /// Messages of channels that the file does not describe.
@@ -84,7 +85,7 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
     if !there.is_file() {
         return Err(refused(&"it is no file"));
     }
-    // A recorder keeps its file locked as long as it writes; where nothing can be locked, nobody knows.
+    // A recorder keeps its file locked as long as it writes; where nothing can be locked, this is not known.
     let written = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
     let whole = Whole { bytes: there.len(), ..Whole::default() };
     let mut reading =
@@ -101,7 +102,8 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
                 reading.record(opcode, body)
             }
             Err(Broken::CutOff { opcode, body }) => {
-                // What a recorder was about to write has whole messages before the place where it was cut.
+                // A chunk that a recorder was about to write has whole messages before the place
+                // where it was cut.
                 let chunk = opcode == Some(op::CHUNK);
                 let inside = if chunk { reading.chunk(body, true) } else { Ok(()) };
                 inside.and(Err(Ended::Damage(CUT.to_owned())))
@@ -159,14 +161,14 @@ const CUT: &str = "the file ends inside of a record: its recorder was ended befo
 /// Why no more is read.
 enum Ended {
     Damage(String),
-    /// By whoever takes the messages.
+    /// Ended by the receiver of the messages.
     Asked(Failure),
 }
 
 struct Reading<'a> {
     whole: Whole,
     schemas: BTreeMap<u16, Arc<Schema>>,
-    /// So many descriptions came.
+    /// Number of descriptions that came.
     described: usize,
     /// Why the first chunk that gave nothing did so.
     unread: String,
@@ -243,7 +245,8 @@ impl Reading<'_> {
             None if cut => chunk.records,
             None => return Err(damage("a chunk is shorter than it says")),
         };
-        // Before anything in it is believed. The sum of one that was cut off cannot be known.
+        // The sum is checked before anything in the chunk is believed. The sum of one that was cut off
+        // cannot be known.
         if !cut && chunk.crc != 0 && crc32fast::hash(records) != chunk.crc {
             let why = "damaged: a chunk's checksum is another one than that of its bytes";
             self.leave_out(|at| format!("near byte {at}: {why}"));
@@ -265,7 +268,7 @@ impl Reading<'_> {
 }
 
 impl Whole {
-    /// All that the last metadata record of a name says.
+    /// Returns all that the last metadata record of a name says.
     pub(super) fn all(&self, name: &str) -> impl Iterator<Item = (&str, &str)> {
         let record = self.metadata.iter().rev().find(|(other, _)| other == name);
         record.into_iter().flat_map(|(_, all)| all).map(|(key, value)| (key.as_str(), value.as_str()))

@@ -51,7 +51,7 @@ fn recording(messages: u32) -> Vec<u8> {
     bytes
 }
 
-/// Of a message with one field, so that a file is short and each place in it is soon tried.
+/// Describes a message with one field, so that a file is short and each place in it is soon tried.
 fn descriptors() -> Vec<u8> {
     use prost_types::field_descriptor_proto::Type;
     use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};

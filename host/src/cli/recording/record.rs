@@ -21,20 +21,22 @@ use crate::cli::execution::ExecutionArgs;
 use crate::cli::failure::{Done, Exit, Failure};
 use crate::cli::mutation::MutationArgs;
 use crate::cli::session::Session;
+use crate::cli::session::holding::Holding;
 use crate::cli::session::recording::{Source, Sources};
 use crate::cli::states::Verb;
 use crate::cli::{out, style, units};
 
 const CLASS: &str = "recorder/recorder";
-/// Of its thread, above everything without one: what the disk does for it in the kernel may hold such threads up for 100 ms.
+/// Priority of the recorder's thread, above every thread without one: disk work that the kernel does for the
+/// recorder may hold such threads up for 100 ms.
 const PRIORITY: u8 = 1;
-/// How often it is looked at, and what is shown renewed.
+/// Pause between two looks at the recorder, after which the display is renewed.
 const LOOK: Duration = Duration::from_millis(200);
-/// A question to the recorder, ns.
+/// Deadline of a question to the recorder, ns.
 const ANSWER_NS: u64 = 5_000_000_000;
-/// How long the end of a file may take, on a disk that is slow.
+/// Time that the end of a file may take, on a slow disk.
 const CLOSING: Duration = Duration::from_secs(60);
-/// What the recorder says of a recording whose time had not come.
+/// The recorder's reason for a recording whose time had not come.
 const NOT_BEGUN: &str = "stopped before it began: there is no file";
 /// Samples that may wait, at most, and bytes of them.
 const DEEPEST: u32 = 4096;
@@ -42,7 +44,7 @@ const QUEUE_BYTES: u32 = 16 << 20;
 /// Bytes per second that fill any disk, and s in which that is worth saying.
 const MUCH: f64 = 100e6;
 const LONG_S: f64 = 12.0 * 3600.0;
-/// What to do where something was lost.
+/// Advice for a recording with losses.
 const LESS: &str = "fewer outputs and --max-rate-hz ask less of the machine, --video qoi and --video jpeg less of its disk and more of its \
     processors; --buffer-mb lasts while a disk stands still";
 /// Frames that may wait: a queue leaves their pool enough for its owner, however deep it is.
@@ -90,11 +92,11 @@ struct RecordedView {
     messages: u64,
     bytes: u64,
     lost: u64,
-    /// How often a connection, or the process of a source, went away meanwhile.
+    /// Number of times that a connection, or the process of a source, went away meanwhile.
     interrupted: u64,
     whole: bool,
     reason: String,
-    /// What could not be connected, and why.
+    /// Outputs that could not be connected, and why.
     left_out: Vec<String>,
     /// Topics with losses.
     losses: Vec<(String, u64)>,
@@ -132,22 +134,22 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
         },
         mutation: MutationArgs::default(),
     };
-    // Before there is anything to be left behind.
+    // Listens before there is anything to be left behind.
     let mut ends = Ends::listen();
-    // Whatever ends this program, SIGKILL too, ends its recorder.
-    let _held = session.hold(&path).await?;
+    // Any end of this program, SIGKILL too, ends its recorder.
+    let held = session.hold(&path).await?;
     let created = session.create(&create).await?;
-    // Its thread may not have been given what was asked for.
+    // The recorder's thread may not have been given what was asked for.
     created.warnings.iter().for_each(|text| out::complain("warning", text));
     let mut left_out = Vec::new();
     let bar = bar(&args, session.json());
-    // Interrupted before or while it records: what is there is closed, and then shown as usual.
+    // An interrupt before or while it records closes the file, which is then shown as usual.
     let ended = tokio::select! {
-        ended = recording(&args, session, &path, &place, &wanted, &mut left_out, &bar) => ended.map(|()| false),
+        ended = recording(&args, session, &path, &place, &wanted, &mut left_out, (&bar, &held)) => ended.map(|()| false),
         () = ends.come() => Ok(true),
     };
     bar.finish_and_clear();
-    let mut patience = Patience::new(None, Some(&mut ends));
+    let mut patience = Patience::new(&held, None, Some(&mut ends));
     // A manager that was waited for already is not waited for again.
     patience.is_over = ended.as_ref().is_err_and(Patience::is_away);
     let recorded = match ended {
@@ -165,7 +167,8 @@ pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
     shown(RecordedView { topics, left_out, ..view }, session)
 }
 
-/// Nobody answers for the recording any more: what is there of it, and what of its recorder.
+/// Adds to a failure, when nothing answers for the recording any more, what is left of it and
+/// of its recorder.
 fn cut_short(mut failure: Failure, place: &Place, path: &str, stays: bool) -> Failure {
     let file = Path::new(&place.directory).join(&place.file);
     let Ok(there) = file.metadata() else { return failure };
@@ -189,7 +192,7 @@ struct Place {
     file: String,
 }
 
-/// Where the file is to be: the host may run elsewhere, so its directory is said whole.
+/// Returns the place of the file. Its directory is an absolute path, since the host may run elsewhere.
 fn place(args: &RecordArgs) -> Result<Place, Failure> {
     let shown = args.output.display();
     let usage = |why: String, help: &str| Failure::usage(why, help);
@@ -233,7 +236,7 @@ fn place(args: &RecordArgs) -> Result<Place, Failure> {
     Ok(Place { directory: directory.to_owned(), file: file.to_owned() })
 }
 
-/// What could have been meant: what is alike, and what there is, beginning with what is nearest.
+/// Suggests what could have been meant: similar names, and the outputs there are, the nearest first.
 fn instead(pattern: &str, there: &Sources) -> String {
     if there.all.is_empty() {
         return "there is no output yet: create a component".to_owned();
@@ -244,7 +247,7 @@ fn instead(pattern: &str, there: &Sources) -> String {
     format!("{}there are: {}", meant([pattern], &all), listed(&all))
 }
 
-/// What the patterns mean; each has to mean something.
+/// Returns the outputs that the patterns mean; each pattern has to mean one.
 fn chosen(patterns: &[String], there: &Sources) -> Result<Vec<Source>, Failure> {
     for pattern in patterns {
         if !there.all.iter().any(|source| select::matches(pattern, &source.path)) {
@@ -283,7 +286,7 @@ fn process(args: &RecordArgs, there: &Sources, wanted: &[Source]) -> Result<Stri
         .ok_or_else(|| Failure::refused("CLASS_NOT_FOUND", format!("no process has the class {CLASS}"), help))
 }
 
-/// From the first connection until it ends by itself.
+/// Records from the first connection until the recording ends by itself.
 async fn recording(
     args: &RecordArgs,
     session: &Session,
@@ -291,7 +294,7 @@ async fn recording(
     place: &Place,
     wanted: &[Source],
     left_out: &mut Vec<String>,
-    bar: &ProgressBar,
+    (bar, held): (&ProgressBar, &Holding),
 ) -> Result<(), Failure> {
     for (n, source) in wanted.iter().enumerate() {
         let fifo = if source.frames { FRAMES } else { (QUEUE_BYTES / source.size.max(1)).clamp(16, DEEPEST) };
@@ -323,7 +326,7 @@ async fn recording(
     let request = json!({ "path": place.file, "delay": 0.0, "duration": args.seconds.unwrap_or(0.0) });
     ask(session, path, "start", Some(&request)).await?;
     let (begun, mut warned) = (Instant::now(), false);
-    let mut patience = Patience::new(Some(bar), None);
+    let mut patience = Patience::new(held, Some(bar), None);
     loop {
         tokio::time::sleep(LOOK).await;
         let status = patience.wait(async || ask(session, path, "status", None).await).await?;
@@ -354,7 +357,7 @@ fn progress(status: &Value, bytes: u64, elapsed: f64) -> String {
     format!("{}, {} ({rate}), {lost} lost{interrupted}", units::count(messages, "message"), size(bytes))
 }
 
-/// What to say of so many bytes per second: that they are many, and when the disk is full.
+/// Warns of so many bytes per second: that they are many, and when the disk is full.
 fn too_much(rate: f64, directory: &Path) -> Option<String> {
     if rate < MUCH {
         return None;
@@ -379,7 +382,8 @@ async fn ask(session: &Session, path: &str, what: &str, arg: Option<&Value>) -> 
     Ok(reply.value.unwrap_or(Value::Null))
 }
 
-/// Waits until the file is closed, after asking for it where it has to be asked for; `inputs`: how many it recorded.
+/// Waits until the file is closed, after asking for it where that is needed; `inputs` is the number of
+/// inputs it recorded.
 async fn closed(
     session: &Session,
     path: &str,
@@ -387,7 +391,7 @@ async fn closed(
     inputs: usize,
     patience: &mut Patience<'_>,
 ) -> Result<RecordedView, Failure> {
-    // It may just have ended by itself: then there is nothing to stop.
+    // The recording may just have ended by itself: then there is nothing to stop.
     let stopped = !asked || patience.wait(async || ask(session, path, "stop", None).await).await.is_ok();
     let begun = Instant::now();
     loop {

@@ -1,10 +1,12 @@
-//! The records of an MCAP file and of its chunks, one after the other, each length held against what is there.
+//! The records of an MCAP file and of its chunks, one after the other. Each length is checked against the
+//! bytes there are.
 //!
-//! Invariant: a length is believed only as far as bytes come for it: no arithmetic on one can overflow, and no memory is taken ahead.
+//! Invariant: a length is believed only as far as bytes come for it: no arithmetic on a length can overflow,
+//! and no memory is taken ahead.
 
 use std::io::{self, Read};
 
-/// What a file begins and ends with.
+/// Magic bytes at the beginning and the end of a file.
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// Opcode and length.
 const HEAD: usize = 9;
@@ -34,7 +36,7 @@ impl<R: Read> Records<R> {
         Records { from, body: Vec::new(), came: 0, begun: false }
     }
 
-    /// So many bytes were read.
+    /// Returns the number of bytes read so far.
     pub(super) fn came(&self) -> u64 {
         self.came
     }
@@ -62,7 +64,7 @@ impl<R: Read> Records<R> {
         Err(Broken::CutOff { opcode: Some(opcode), body: &self.body })
     }
 
-    /// Whether the next bytes are those that a file begins and ends with.
+    /// Tells whether the next bytes are the magic ones.
     ///
     /// # Errors
     /// What the system says.
@@ -96,7 +98,7 @@ pub(super) fn split(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
 pub(super) struct Chunk<'a> {
     pub(super) crc: u32,
     pub(super) compression: &'a [u8],
-    /// Of the records, as they are in the file, B.
+    /// Length of the records, as they are in the file, B.
     pub(super) len: u64,
     pub(super) records: &'a [u8],
 }
@@ -104,7 +106,7 @@ pub(super) struct Chunk<'a> {
 impl Chunk<'_> {
     /// None where the header is not all there.
     pub(super) fn of(body: &[u8]) -> Option<Chunk<'_>> {
-        // Behind two times and the length without compression.
+        // The rest is behind two times and the length without compression.
         let rest = body.get(24..)?;
         let (crc, rest) = rest.split_first_chunk()?;
         let (n, rest) = rest.split_first_chunk()?;

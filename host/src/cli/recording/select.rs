@@ -1,21 +1,21 @@
 //! Patterns over `process/component/port`, as they are typed at `trocar record` and `trocar export --topic`.
 //!
-//! Invariant: `*` stands for any part of one name, `**` for any number of names; what names a process or a component stands for
-//! everything in it.
+//! Invariant: `*` stands for any part of one name, `**` for any number of names; the name of a process or a
+//! component stands for everything in it.
 
-/// Whether a path is meant by a pattern.
+/// Tells whether a pattern means a path.
 pub(super) fn matches(pattern: &str, path: &str) -> bool {
     let (mut pattern, path) = (parts(pattern), parts(path));
     if pattern.is_empty() || pattern.len() > 64 {
         return false;
     }
-    // A name of what holds others is a name of all in it, and `**` is no name, too.
+    // The name of a process or component means all in it, and `**` stands for no name, too.
     pattern.push("**");
     wild(&pattern, &path, |part| *part == "**", |pattern, name| one(pattern.as_bytes(), name.as_bytes()))
 }
 
-/// Whether a topic is what a recorder tells of itself: `/recorder/NAME`. What is recorded has a name of three parts, in a process
-/// that is called `recorder`, too.
+/// Tells whether a recorder writes this topic about itself: `/recorder/NAME`. A recorded output has a name of
+/// three parts, in a process that is called `recorder`, too.
 pub(super) fn is_recorders(topic: &str) -> bool {
     topic.strip_prefix("/recorder/").is_some_and(|name| !name.contains('/'))
 }
@@ -24,7 +24,7 @@ fn parts(path: &str) -> Vec<&str> {
     path.split('/').filter(|part| !part.is_empty()).collect()
 }
 
-/// Whether items are what a pattern says, in which some parts stand for any number of items. There is no
+/// Tells whether items match a pattern, some parts of which stand for any number of items. There is no
 /// recursion: a hostile pattern costs its length times that of the items.
 fn wild<T>(pattern: &[T], items: &[T], any: impl Fn(&T) -> bool, same: impl Fn(&T, &T) -> bool) -> bool {
     let (mut p, mut n) = (0, 0);

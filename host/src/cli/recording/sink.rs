@@ -1,4 +1,4 @@
-//! Where the messages of an export go, and what is counted on the way.
+//! Targets of the messages of an export, and the counts on the way.
 //!
 //! Invariant: a sink makes new files only, with names that lead out of no directory.
 
@@ -14,7 +14,7 @@ use super::info::size;
 use super::read::Channel;
 use crate::cli::failure::Failure;
 
-/// One message, and what it takes to read it.
+/// One message, and the means to read it.
 pub(super) struct Message<'a> {
     pub(super) channel: &'a Channel,
     pub(super) reader: &'a Reader,
@@ -23,7 +23,7 @@ pub(super) struct Message<'a> {
 }
 
 impl Message<'_> {
-    /// Its values; one that has none, and values that are too many, are counted.
+    /// Returns its values. A message that has none, and values that are too many, are counted.
     pub(super) fn row(&self, view: &mut ExportView) -> Option<Vec<(String, Cell)>> {
         let Some(values) = self.reader.values(self.channel, self.data) else {
             view.unreadable(self);
@@ -35,14 +35,14 @@ impl Message<'_> {
     }
 }
 
-/// Where messages go.
+/// Target of messages.
 pub(super) trait Sink {
     fn take(&mut self, message: &Message<'_>, view: &mut ExportView) -> Result<(), Failure>;
-    /// How many files there are.
+    /// Finishes the export; returns the number of files.
     fn finish(self: Box<Self>, output: &Path, view: &mut ExportView) -> Result<u64, Failure>;
 }
 
-/// What was written.
+/// Result of an export.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct ExportView {
     pub(super) output: String,
@@ -50,9 +50,10 @@ pub(super) struct ExportView {
     pub(super) messages: u64,
     /// Messages that are not what their channel says.
     pub(super) unreadable: u64,
-    /// Why the first of those could not be read, where that is known.
+    /// Reason why the first of those could not be read, where that is known.
     pub(super) why: String,
-    /// Values that the first message of a topic has no column for, and frames that are of another shape than the first.
+    /// Values that the first message of a topic has no column for, and frames of another shape
+    /// than the first.
     pub(super) unplaced: u64,
     /// Pictures: `--png` writes them, arrays do not hold them.
     pub(super) pictures: u64,
@@ -60,7 +61,7 @@ pub(super) struct ExportView {
     pub(super) texts: u64,
     /// Messages that the recorder told of itself: written where `--topic` names them.
     pub(super) recorders: u64,
-    /// Why not all of the recording was read.
+    /// Reason why not all of the recording was read.
     pub(super) wrong: String,
     #[serde(skip)]
     pub(super) remains: &'static str,
@@ -86,7 +87,7 @@ pub(super) struct Bounds {
 }
 
 impl Bounds {
-    /// For a file of so many bytes.
+    /// Makes the bounds for a file of so many bytes.
     pub(super) fn of(file: u64) -> Bounds {
         Bounds { file }
     }
@@ -104,7 +105,7 @@ impl Bounds {
         )
     }
 
-    /// So much memory may be taken; gives it.
+    /// Checks an amount of memory, and returns it.
     ///
     /// # Errors
     /// TOO_LARGE: the sum is over the limit.
@@ -113,7 +114,7 @@ impl Bounds {
         if bytes as u64 <= most { Ok(bytes) } else { Err(Self::too_large("numbers and names", &size(most))) }
     }
 
-    /// So much may be written; gives it.
+    /// Checks a number of written bytes, and returns it.
     ///
     /// # Errors
     /// TOO_LARGE: the sum is over the limit.
@@ -122,7 +123,7 @@ impl Bounds {
         if bytes <= most { Ok(bytes) } else { Err(Self::too_large("tables", &size(most))) }
     }
 
-    /// So many fields may be looked at.
+    /// Checks a number of fields that are looked at.
     ///
     /// # Errors
     /// TOO_LARGE: the sum is over the limit.
@@ -139,16 +140,16 @@ pub(super) fn file_name(topic: &str) -> String {
     if name.is_empty() { "topic".to_owned() } else { name }
 }
 
-/// The names of files or directories of topics, of which two may come to the same one.
+/// The names of files or directories of topics. Two topics may come to the same name.
 #[derive(Default)]
 pub(super) struct Names {
     taken: BTreeSet<String>,
-    /// By the name that several come to, the number that the next one tries.
+    /// Number that the next topic tries, by the name that several come to.
     next: BTreeMap<String, u64>,
 }
 
 impl Names {
-    /// A topic's: the first that is not taken.
+    /// Returns the name for a topic: the first one that is not taken.
     pub(super) fn free(&mut self, topic: &str) -> String {
         let name = file_name(topic);
         let mut free = name.clone();

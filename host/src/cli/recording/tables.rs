@@ -1,7 +1,7 @@
 //! A table of comma-separated values for each topic: a row of names, then a line for each message.
 //!
-//! Invariant: however many topics there are, one file is open at a time; what waits for it is bounded by [`WAITS`]
-//! for each, and by [`WAIT`] for all.
+//! Invariant: however many topics there are, one file is open at a time. The bytes that wait for it are
+//! bounded by [`WAITS`] for each topic, and by [`WAIT`] for all.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::OpenOptions;
@@ -55,7 +55,7 @@ impl Tables {
         self.waits(more)
     }
 
-    /// So much more waits; writes all where it is too much.
+    /// Counts more bytes that wait; writes all where they are too many.
     fn waits(&mut self, more: usize) -> Result<(), Failure> {
         self.written = self.bounds.written(self.written + more as u64)?;
         self.waiting += more;
@@ -68,7 +68,7 @@ impl Tables {
 }
 
 impl Table {
-    /// Writes a cell for each column; how many of the row's there were.
+    /// Writes a cell for each column; returns how many of the row's there were.
     fn line(&self, row: &[(String, Cell)], line: &mut String) -> usize {
         let mut placed = 0;
         // Made where a message is not as the first one of its topic.

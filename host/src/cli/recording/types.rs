@@ -31,7 +31,7 @@ impl Types {
     /// The type that a description is of.
     ///
     /// # Errors
-    /// Why there is none, as a sentence.
+    /// The reason why there is none, as a sentence.
     pub(super) fn message(&mut self, schema: &Schema) -> Result<MessageDescriptor, String> {
         if !self.pools.contains_key(&schema.number) {
             let pool = self.pool(&schema.data);
@@ -98,7 +98,7 @@ fn name(name: Option<&String>) -> Result<(), String> {
     }
 }
 
-/// Gives what `f` gives, or nothing where it panics, of which nothing is printed.
+/// Returns what `f` gives, or nothing where it panics. Nothing of a panic is printed.
 pub(super) fn unless_it_panics<T>(f: impl FnOnce() -> T) -> Option<T> {
     thread_local! {
         static QUIET: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
@@ -113,7 +113,7 @@ pub(super) fn unless_it_panics<T>(f: impl FnOnce() -> T) -> Option<T> {
         }));
     });
     let before = QUIET.replace(true);
-    // Nothing that it changed is looked at after it has panicked.
+    // After a panic nothing that `f` changed is looked at.
     let given = panic::catch_unwind(AssertUnwindSafe(f));
     QUIET.set(before);
     given.ok()

@@ -194,7 +194,8 @@ pub(super) fn timed<T>(ask: T, m: &MutationArgs) -> tonic::Request<T> {
     ask
 }
 
-/// A Stop goes on over failures: what was planned and has no report did not stop, a warning says why.
+/// Adds failures of a Stop, which goes on over them: a planned component without a report did not stop, and a
+/// warning says why.
 fn with_failures(mut outcome: Outcome, dry_run: bool) -> Outcome {
     // "- stop host/robot (ACTIVE → STOPPED{requested})"
     let planned = outcome.plan.iter().filter_map(|line| line.split(' ').nth(2)).filter(|_| !dry_run);
@@ -224,7 +225,7 @@ pub(super) fn outcome(
         health: convert::health(c.health()),
         fault: c.fault.clone(),
     };
-    // Told with the component's path instead.
+    // These warnings are told with the component's path instead.
     warnings.retain(|w| components.iter().all(|c| !c.warnings.contains(w)));
     warnings.extend(components.iter().flat_map(|c| c.warnings.iter().map(|w| format!("{}: {w}", c.path))));
     Outcome {

@@ -1,10 +1,12 @@
-//! A component that ends with this program, whatever ends the program.
+//! A component that ends with this program, in whatever way the program ends.
 //!
 //! Invariant: it is held before it is created; a manager that comes back is told of it again.
 
 use std::time::Duration;
 
+use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 use tonic::{Code, Status};
 use trocar_proto::v1;
 use trocar_proto::v1::guest_service_client::GuestServiceClient;
@@ -16,13 +18,25 @@ use crate::control::Tokened;
 /// Pause before a manager that is away is asked again.
 const AGAIN: Duration = Duration::from_millis(200);
 
-/// Holds until it is dropped.
-pub(in crate::cli) struct Holding(Option<JoinHandle<()>>);
+/// Holds until it is dropped; nothing where the manager knows no Hold.
+pub(in crate::cli) struct Holding(Option<Staying>);
+
+/// The task that holds, and whether a manager knows of it now.
+struct Staying(JoinHandle<()>, watch::Receiver<bool>);
+
+impl Holding {
+    /// Waits until the manager knows of it, until then at most; whether it does.
+    pub(in crate::cli) async fn stands(&self, until: Instant) -> bool {
+        let Some(Staying(_, known)) = &self.0 else { return true };
+        // Nobody tells any more where there is nothing to be held.
+        tokio::time::timeout_at(until, known.clone().wait_for(|known| *known)).await.is_ok()
+    }
+}
 
 impl Drop for Holding {
     fn drop(&mut self) {
-        if let Some(held) = &self.0 {
-            held.abort();
+        if let Some(Staying(task, _)) = &self.0 {
+            task.abort();
         }
     }
 }
@@ -37,7 +51,8 @@ impl Session {
             Err(status) if status.code() == Code::Unimplemented => return Ok(Holding(None)),
             Err(status) => return Err(self.failed(&status)),
         };
-        Ok(Holding(Some(tokio::spawn(stay(guest, first, path.to_owned())))))
+        let (tell, known) = watch::channel(true);
+        Ok(Holding(Some(Staying(tokio::spawn(stay(guest, first, path.to_owned(), tell)), known))))
     }
 }
 
@@ -53,7 +68,12 @@ async fn hold(guest: &mut GuestServiceClient<Tokened>, path: &str) -> Result<Hel
 
 /// Holds as long as there is something to be held: then the call ends in order. A manager that ends breaks
 /// it, and is asked again.
-async fn stay(mut guest: GuestServiceClient<Tokened>, mut held: Held, path: String) {
+async fn stay(
+    mut guest: GuestServiceClient<Tokened>,
+    mut held: Held,
+    path: String,
+    known: watch::Sender<bool>,
+) {
     loop {
         let ended = loop {
             match held.message().await {
@@ -63,6 +83,7 @@ async fn stay(mut guest: GuestServiceClient<Tokened>, mut held: Held, path: Stri
             }
         };
         log::debug!("{path} is held no more: {ended}");
+        known.send_replace(false);
         held = loop {
             tokio::time::sleep(AGAIN).await;
             match hold(&mut guest, &path).await {
@@ -70,5 +91,6 @@ async fn stay(mut guest: GuestServiceClient<Tokened>, mut held: Held, path: Stri
                 Err(status) => log::debug!("{path} cannot be held: {status}"),
             }
         };
+        known.send_replace(true);
     }
 }

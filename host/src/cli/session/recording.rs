@@ -1,6 +1,7 @@
-//! What a recording asks of a system: what there is to record, and who could.
+//! Questions of a recording to a system: which outputs there are, and which components can record them.
 //!
-//! Invariant: nothing here changes a system; making, connecting and removing go through the verbs everybody uses.
+//! Invariant: nothing here changes a system; making, connecting and removing go through the verbs that every
+//! subcommand uses.
 
 use trocar_proto::v1;
 
@@ -12,7 +13,7 @@ use crate::cli::failure::Failure;
 pub(in crate::cli) struct Source {
     /// process/component/output.
     pub(in crate::cli) path: String,
-    /// It gives frames.
+    /// True: the output gives frames.
     pub(in crate::cli) frames: bool,
     /// Bytes of a sample, or of the header of a frame.
     pub(in crate::cli) size: u32,
@@ -22,7 +23,7 @@ pub(in crate::cli) struct Source {
 #[derive(Clone, Debug, Default)]
 pub(in crate::cli) struct Sources {
     pub(in crate::cli) all: Vec<Source>,
-    /// Processes with a class to record, and what it is called there.
+    /// Processes with a class that records, and its name there.
     pub(in crate::cli) recorders: Vec<String>,
 }
 
@@ -37,14 +38,15 @@ impl Session {
         let mut all = Vec::new();
         for component in &there.components {
             let ask = v1::DescribeRequest { path: component.path.clone(), ..Default::default() };
-            // One that went away meanwhile is not there to be recorded.
+            // A component that went away meanwhile is not there to be recorded.
             let Ok(told) = gcm.describe(ask).await else { continue };
             for output in told.into_inner().ports.unwrap_or_default().outputs {
                 let path = format!("{}/{}", component.path, output.name);
                 let (frames, size) = match output.r#type.and_then(|ty| ty.kind) {
                     Some(v1::port_type::Kind::Plain(ty)) => (false, ty.size),
                     Some(v1::port_type::Kind::Frame(frame)) => (true, frame.header.map_or(0, |h| h.size)),
-                    // It takes the type of what it is connected to: there is none to record.
+                    // A port without a type of its own takes the type of its connection: there is
+                    // none to record.
                     Some(v1::port_type::Kind::Any(_)) | None => continue,
                 };
                 all.push(Source { path, frames, size });

@@ -16,7 +16,7 @@ use crate::cli::view::SystemView;
 use crate::gcm::{Supervisor, Told, Wanted};
 
 impl Session {
-    /// All of the requests as one change.
+    /// Carries out all requests as one change.
     pub(in crate::cli) async fn apply(
         &self,
         requests: &[Request],
@@ -76,12 +76,12 @@ impl Session {
         Ok(answer.into_inner())
     }
 
-    /// How everything stands, asked of the GCM alone and soon answered; without live figures.
+    /// Returns the state of the system from the GCM alone: soon answered, without live figures.
     pub(in crate::cli) async fn standing(&self) -> Result<SystemView, Failure> {
         self.looked(true, Duration::from_secs(5)).await
     }
 
-    /// How everything stands, with live figures of all processes that give some.
+    /// Returns the state of the system, with live figures of all processes that give some.
     pub(in crate::cli) async fn figures(&self) -> Result<SystemView, Failure> {
         self.looked(false, Duration::from_secs(10)).await
     }
@@ -108,7 +108,8 @@ impl Session {
         }
     }
 
-    /// Asks what processes are wanted for isolated components, now and always: with the incarnation of the GCM.
+    /// Follows which processes are wanted for isolated components, now and later, with the
+    /// incarnation of the GCM.
     pub(in crate::cli) async fn supervise(
         &self,
         who: &Supervisor,

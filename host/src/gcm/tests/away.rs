@@ -155,7 +155,7 @@ async fn a_reset_for_another_revision_starts_no_process_again() {
 /// Does what it is asked once: the process comes back, or fails anew.
 async fn obey(gcm: Gcm, mut supervising: Supervising, comes_back: bool) {
     while !supervising.next().await.restart.contains(&name("far")) {}
-    // Whoever tells may have missed that it was RESTARTING.
+    // The supervisor may have missed that the process was RESTARTING.
     gcm.told(&told(Fate::Running, 4));
     assert_eq!(gcm.graph().processes[&name("far")].state, ProcessState::Restarting);
     if comes_back {

@@ -35,7 +35,7 @@ async fn connected() -> (Gcm, [Arc<FakeLcm>; 2], [Registration; 2], [Registered;
     (gcm, lcms, whos, [a, b])
 }
 
-/// What a process brings along that was told of all this.
+/// Returns the registration of a process that was told of all this.
 fn brings(graph: &SystemGraph, who: &Registration) -> Registration {
     let mine = |id: &ComponentId| id.process == who.process;
     let components = graph.components.iter().filter(|(id, _)| mine(id));

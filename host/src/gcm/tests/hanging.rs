@@ -1,4 +1,4 @@
-//! Something hangs in one component: what goes on all the same, and what waits for its turn.
+//! One component hangs: requests that go on all the same, and requests that wait for their turn.
 
 use trocar_model::{ConnectOptions, Health, PortId};
 

@@ -1,6 +1,6 @@
-//! What was told before an answer is entered before the answer is passed on.
+//! News told before an answer is entered before the answer is passed on.
 //!
-//! Promise: whoever was told that something went wrong sees at the next look what came of it.
+//! Promise: a caller that was told that something went wrong sees the result at the next look.
 
 use super::*;
 
@@ -11,7 +11,7 @@ async fn what_an_lcm_told_before_it_refused_is_in_the_graph_when_the_refusal_is(
     for round in 0..20 {
         let fault = format!("command ctl/do: chaos {round}");
         lcm.become_state("host/a", State::Fault, &fault);
-        // Nobody else has run on this thread since: without asking, the graph is behind.
+        // No other task has run on this thread since: without asking, the graph is behind.
         assert_ne!(component(&gcm.graph(), "host/a").fault, fault);
         gcm.hear_out(&name("host")).await;
         let stands = component(&gcm.graph(), "host/a");

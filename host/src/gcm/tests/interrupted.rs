@@ -1,7 +1,8 @@
-//! A process that was started again is interrupted, refused or held up while it gets back what it was to have.
+//! A process that was started again is interrupted, refused or held up while it gets back what it was to
+//! have.
 //!
-//! Promise: it gets the rest, each thing once; what does not come back is named with the reason, and nothing else stays away
-//! for it.
+//! Promise: it gets the rest, each thing once; a component that does not come back is named with the reason,
+//! and keeps no other from coming back.
 
 use trocar_lcm_api::{Inventory, Lcm};
 use trocar_model::{
@@ -45,7 +46,7 @@ async fn crashed() -> Gcm {
     crashed_where(GcmConfig::default()).await
 }
 
-/// One that waits only `ms` for each change.
+/// A GCM that waits only `ms` for each change.
 async fn impatient(ms: u64) -> Gcm {
     crashed_where(GcmConfig { each_change: Duration::from_millis(ms), ..GcmConfig::default() }).await
 }
@@ -67,7 +68,7 @@ async fn crashed_where(config: GcmConfig) -> Gcm {
     gcm
 }
 
-/// What a process says it was told to have: as far as its LCM did it.
+/// Returns the slice a process registers with: as far as its LCM did it.
 fn slice(gcm: &Gcm, lcm: &FakeLcm) -> Slice {
     let (graph, done) = (gcm.graph(), lcm.done());
     let did = |what: String| done.contains(&what);

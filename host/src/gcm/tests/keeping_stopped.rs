@@ -1,6 +1,7 @@
-//! What somebody stopped stands still, whatever becomes of its process meanwhile.
+//! A component that was stopped stands still, whatever becomes of its process meanwhile.
 //!
-//! Promise: a Stop that was answered with OK, or that its process went away in the middle of, is never forgotten.
+//! Promise: a Stop that was answered with OK, or that its process went away in the middle of, is never
+//! forgotten.
 
 use trocar_model::{ProcessState, State, StopReason};
 
@@ -25,7 +26,7 @@ async fn ours() -> (Gcm, Arc<FakeLcm>, super::Registration, u64) {
     (gcm, lcm, who, session)
 }
 
-/// A process whose actuator waits for somebody.
+/// A process whose actuator waits for an operator.
 async fn restarted() -> (Gcm, Arc<FakeLcm>, u64) {
     let (gcm, _lcm, session) = running().await;
     gcm.lost(&name("host"), session);

@@ -1,4 +1,5 @@
-//! Ports that change by themselves: the connections that go with them, and the thread a component is given later.
+//! Ports that change by themselves: the connections that go with them, and the thread a component is given
+//! later.
 
 use trocar_lcm_api::{News, Report};
 use trocar_model::{ConnectOptions, ConnectionId, PortId, PortType, Ports, Prim, Type, Which};
@@ -22,7 +23,7 @@ async fn wired() -> (Gcm, Arc<FakeLcm>) {
     (gcm, lcm)
 }
 
-/// What `path` reports when its ports are others.
+/// Returns the report of `path` when its ports are others.
 fn report(gcm: &Gcm, path: &str, lost: &[u64], change: impl FnOnce(&mut Ports)) -> Report {
     let component = component(&gcm.graph(), path);
     let mut ports = (*component.ports).clone();

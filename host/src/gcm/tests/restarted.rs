@@ -1,4 +1,4 @@
-//! What a process gets back that was started again, and what its supervisor tells of it.
+//! Components a restarted process gets back, and the news of its supervisor.
 
 use std::sync::Arc;
 
