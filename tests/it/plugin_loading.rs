@@ -1,8 +1,10 @@
 //! From a file dropped into a directory to a class that can be created, and what is refused on that way.
 //!
-//! Promise: a good plugin is offered by itself; every bad file is refused with its sentence; the running system does not
-//! notice either.
+//! Promise: a good plugin is offered by itself; every bad file is refused with its sentence; the running
+//! system does not notice either.
 
+#[path = "plugin_loading/archive.rs"]
+mod archive;
 #[path = "plugin_loading/bad_files.rs"]
 mod bad_files;
 #[path = "plugin_loading/counted.rs"]

@@ -3,13 +3,14 @@
 //! Promise: whoever takes a filter's output cannot tell the languages apart by any sample of it.
 
 use std::f64::consts::TAU;
+use std::path::Path;
 
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 use trocar::model::{Execution, ExecutionModel};
 use trocar_sdk::prelude::*;
 use trocar_sdk::{StaticPlugin, static_plugin};
-use trocar_tests::{Built, World, eventually};
+use trocar_tests::{Built, World, eventually, repository};
 
 /// Samples of one feeding.
 const SAMPLES: usize = 48;
@@ -131,8 +132,13 @@ struct Scene {
 
 impl Scene {
     fn new() -> Scene {
+        Scene::with_cpp(&Built::cpp_plugin("cpp_filter"))
+    }
+
+    /// `file`: the filter in C++.
+    fn with_cpp(file: &Path) -> Scene {
         let world = World::with_plugins(&["filters"]);
-        world.drop_in(&Built::cpp_plugin("cpp_filter"));
+        world.drop_in(file);
         let builder = trocar::Host::builder().name("lab").plugin(PROBES);
         let builder = builder.plugins(world.plugins()).vet_with(Built::trocar());
         let runtime = Runtime::new().unwrap();
@@ -240,6 +246,22 @@ fn a_cpp_filter_computes_what_the_rust_filter_computes() {
         let last = &scene.row(name)["y"]["f"];
         let last = [0, 1, 2].map(|i| last[i].as_f64().unwrap());
         agree(&format!("the row of the {name} filter"), &[last], &of_rust[SAMPLES - 1..]);
+    }
+}
+
+#[test]
+fn a_cpp_filter_of_each_earlier_abi_computes_what_it_did() {
+    let archive = repository().join("tests/data/abi");
+    // Refused elsewhere, see `plugin_loading/archive.rs`.
+    if cfg!(not(target_arch = "x86_64")) {
+        return;
+    }
+    for abi in ["1.0", "1.1"] {
+        let scene = Scene::with_cpp(&archive.join(abi).join("libtrocar_cpp_filter.so"));
+        scene.filter("old", CPP, "feeder/raw", 60.0);
+        scene.recorder("of_old", "old/filtered");
+        scene.feed();
+        agree(&format!("the filter of ABI {abi}"), &scene.recorded("of_old"), &low_passed(&feeding(), 60.0));
     }
 }
 
