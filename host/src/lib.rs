@@ -1,6 +1,7 @@
 //! The trocar host as a library: all I/O but that of the components of one process.
 //!
-//! Invariant: calls go downward only, `cli → control → gcm → lcm → loader → rt`; answers are return values, news are events.
+//! Invariant: calls go downward only, `cli → control → gcm → lcm → loader → rt`; answers are return values,
+//! news are events.
 #![forbid(unsafe_code)]
 
 pub mod cli;

@@ -1,7 +1,7 @@
 //! The runtime directory of a user: the sockets of its hosts, and the token it may give to others.
 //!
-//! Invariant: only its user can read or enter it; what killed processes left is swept away by the next one,
-//! and nothing else is.
+//! Invariant: only its user can read or enter it; the remains of killed processes are swept away by the next
+//! one, and nothing else is.
 
 mod placed;
 
@@ -28,7 +28,8 @@ const CHANCE: usize = 32;
 pub enum Door {
     /// The services of the port.
     Calls,
-    /// The same on a thread and with files of its own, so that Stop gets through whatever the port has to do.
+    /// The same on a thread and with files of its own, so that Stop gets through whatever the
+    /// port is busy with.
     Stop,
 }
 
@@ -66,12 +67,12 @@ impl RuntimeDir {
         RuntimeDir::at(state_home().join("run"))
     }
 
-    /// Its path.
+    /// Returns its path.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Makes it, and takes away what killed processes left.
+    /// Makes the directory, and removes what killed processes left.
     ///
     /// # Errors
     /// A directory that cannot be made, or is not this user's alone.
@@ -83,11 +84,11 @@ impl RuntimeDir {
         Ok(())
     }
 
-    /// Whether this user alone can have put there what lies in it. Without a home directory it lies in the
-    /// temporary one, where anybody may have been first.
+    /// Tells whether only this user can have put its contents there. Without a home directory it lies in the
+    /// temporary one, where any user may have been first.
     ///
     /// # Errors
-    /// There is none, or it is somebody else's, or others can write it.
+    /// There is none, or it belongs to another user, or others can write it.
     pub(crate) fn is_own(&self) -> io::Result<()> {
         let told = fs::symlink_metadata(&self.0)?;
         let own = geteuid().as_raw();
@@ -122,14 +123,14 @@ impl RuntimeDir {
     pub(crate) fn lead(&self, addr: SocketAddr, door: Door) -> io::Result<()> {
         let own = self.door(addr, door);
         let new = own.with_extension("new");
-        // Whatever lies there was left by a process of this number that was killed.
+        // A file there was left by a process of this number that was killed.
         let _ = fs::remove_file(&new);
         symlink(own.file_name().unwrap_or_default(), &new)?;
         fs::rename(&new, self.way(addr, door))
     }
 
-    /// Leads nobody to the socket of this process any more, and removes it. One that another process has is
-    /// left.
+    /// Stops leading clients to the socket of this process, and removes it. The socket of another
+    /// process is left.
     pub(crate) fn close(&self, addr: SocketAddr, door: Door) {
         let (own, way) = (self.door(addr, door), self.way(addr, door));
         if fs::read_link(&way).is_ok_and(|to| Some(to.as_os_str()) == own.file_name()) {
@@ -212,13 +213,13 @@ impl RuntimeDir {
         }
     }
 
-    /// Everything in it.
+    /// Returns everything in it.
     pub(crate) fn entries(&self) -> impl Iterator<Item = PathBuf> + use<> {
         fs::read_dir(&self.0).into_iter().flatten().flatten().map(|entry| entry.path())
     }
 }
 
-/// Nobody listens there any more, or not yet.
+/// Tells whether nobody listens there any more, or not yet.
 fn refuses(path: &Path) -> bool {
     std::os::unix::net::UnixStream::connect(path).is_err_and(|e| e.kind() == io::ErrorKind::ConnectionRefused)
 }

@@ -1,6 +1,7 @@
 //! The command line's surface (names, flags, defaults, help) against `cli-surface.txt`.
 //!
-//! Invariant: a change of the surface is a change of that file: `TROCAR_BLESS=1 cargo test -p trocar --test cli_surface`.
+//! Invariant: a change of the surface is a change of that file: `TROCAR_BLESS=1 cargo test -p trocar --test
+//! cli_surface`.
 #![allow(clippy::unwrap_used)]
 
 #[path = "cli_surface/advice.rs"]

@@ -1,7 +1,8 @@
 //! The C tables both sides call through.
 //!
-//! Invariant: a field is never moved, retyped or removed; new fields go to the end and readers ask [`has_entry`] first.
-//! Threads: the LCM serialises all calls on one instance; `step`, slots and `state_copy` are the only real-time ones.
+//! Invariant: a field is never moved, retyped or removed; new fields go to the end and readers ask
+//! [`has_entry`] first. Threads: the LCM serialises all calls on one instance; `step`, slots and `state_copy`
+//! are the only real-time ones.
 
 use core::ffi::c_void;
 
@@ -14,7 +15,8 @@ pub const ENTRY_SYMBOL: &str = "trocar_plugin_v1";
 /// Signature of [`ENTRY_SYMBOL`]: returns a table that lives as long as the library.
 pub type EntryFn = unsafe extern "C" fn() -> *const PluginTable;
 
-/// True when the field at `offset` with `size` bytes lies inside a table that says it has `struct_size` bytes.
+/// Tells whether the field at `offset` with `size` bytes lies inside a table that says it has `struct_size`
+/// bytes.
 pub const fn has_entry(struct_size: u32, offset: usize, size: usize) -> bool {
     offset + size <= struct_size as usize
 }
@@ -40,7 +42,8 @@ pub const UNBOUND: Outcome = -1;
 pub const QUEUE_FULL: Outcome = -2;
 /// Waiting is not allowed on this thread (a `call` from `step` to another executor).
 pub const WOULD_BLOCK: Outcome = -3;
-/// The command is not among its component's ports any more, or the host takes no more requests for services.
+/// The command does not belong to its component's ports any more, or the host takes no more requests for
+/// services.
 pub const DISABLED: Outcome = -4;
 pub const INVALID_ARGUMENT: Outcome = -5;
 /// The command ran and failed; the reason is in `CallOpts::err`.
@@ -78,7 +81,7 @@ pub struct Sink {
     pub write: unsafe extern "C" fn(ctx: *mut c_void, bytes: Bytes),
 }
 
-/// What a plugin's entry returns.
+/// Table that a plugin's entry returns.
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct PluginTable {
@@ -105,7 +108,8 @@ pub struct ClassTable {
     pub struct_size: u32,
     pub flags: u32,
     pub name: Bytes,
-    /// Makes an instance in its unconfigured state; null on failure with the reason in `err`. Opens no device.
+    /// Makes an instance in its unconfigured state; null on failure, with the reason in `err`. Opens no
+    /// device.
     pub create: Option<
         unsafe extern "C" fn(host: *const HostTable, instance_name: Bytes, err: *mut ErrBuf) -> *mut c_void,
     >,
@@ -114,15 +118,16 @@ pub struct ClassTable {
     pub configure: Option<unsafe extern "C" fn(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status>,
     /// Writes the class description (JSON as in the manifest) that holds for the current configuration.
     pub describe: Option<unsafe extern "C" fn(this: *mut c_void, sink: *const Sink) -> Status>,
-    /// Hands over the slot tables; again after `describe` changed them. They stay valid until the next `bind` or `destroy`.
+    /// Hands over the slot tables; called again after `describe` changed them. They stay valid until the next
+    /// `bind` or `destroy`.
     pub bind:
         Option<unsafe extern "C" fn(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status>,
     pub start: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     pub stop: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     pub resume: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
-    /// Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown. Of a class that says
-    /// `safe_from_any_thread` it may run beside any other entry of the same instance, and beside itself: it touches only what
-    /// is made for several threads, and nothing that another entry replaces.
+    /// Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown. For a class
+    /// that says `safe_from_any_thread` it may run beside any other entry of the same instance, and beside
+    /// itself: it touches only what is made for several threads, and nothing that another entry replaces.
     pub make_safe: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     pub step: Option<unsafe extern "C" fn(this: *mut c_void, tick: *const Tick, err: *mut ErrBuf) -> Status>,
     /// Executes a void, write, void-return or write-return command.
@@ -135,7 +140,8 @@ pub struct ClassTable {
             err: *mut ErrBuf,
         ) -> Status,
     >,
-    /// Executes a read or qualified read as a pure function of one published state row. Any thread, no instance.
+    /// Executes a read or qualified read as a pure function of one published state row. Any thread, no
+    /// instance.
     pub read: Option<
         unsafe extern "C" fn(
             state_row: *const c_void,
@@ -155,7 +161,8 @@ pub struct ClassTable {
     pub state_copy: Option<unsafe extern "C" fn(this: *mut c_void, dst: *mut c_void, len: usize)>,
     /// Writes what must survive a swap and is not in the plain state block.
     pub snapshot: Option<unsafe extern "C" fn(this: *mut c_void, sink: *const Sink) -> Status>,
-    /// Takes a `snapshot` and, before it, the plain state block converted to this version's type (may be empty).
+    /// Takes a `snapshot` and, before it, the plain state block converted to this version's type (may be
+    /// empty).
     pub restore: Option<
         unsafe extern "C" fn(this: *mut c_void, state: Bytes, snapshot: Bytes, err: *mut ErrBuf) -> Status,
     >,
@@ -163,7 +170,7 @@ pub struct ClassTable {
     pub extension: Option<unsafe extern "C" fn(this: *mut c_void, id: Bytes) -> *const c_void>,
 }
 
-/// What a `step` is told about its cycle. All times are ns of the host's monotonic clock.
+/// Facts about the cycle for a `step`. All times are ns of the host's monotonic clock.
 #[repr(C)]
 #[derive(Clone, Copy, Default, Debug)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
@@ -233,8 +240,8 @@ pub struct OutSlot {
     pub reserve: unsafe extern "C" fn(ctx: *mut c_void, max_bytes: u64, slots: u32) -> Outcome,
     /// The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
-    /// Since 1.1. As `write`, for an untyped output: INVALID_ARGUMENT unless `value` has the size of the type now behind
-    /// it, so a change of connections between `type_of` and the write is no danger.
+    /// Since 1.1. As `write`, for an untyped output: INVALID_ARGUMENT unless `value` has the size of the type
+    /// now behind it, so a change of connections between `type_of` and the write is no danger.
     pub write_bytes: unsafe extern "C" fn(ctx: *mut c_void, value: Bytes, stamp_ns: u64) -> Outcome,
 }
 
@@ -268,7 +275,8 @@ pub const IN_EMPTY: i32 = 0;
 /// No output is connected.
 pub const IN_UNBOUND: i32 = -1;
 
-/// An input. `latest` gives the newest sample again and again (see [`SAMPLE_FRESH`]); `next` gives each once, in order.
+/// An input. `latest` gives the newest sample again and again (see [`SAMPLE_FRESH`]); `next` gives each once,
+/// in order.
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct InSlot {
@@ -283,15 +291,16 @@ pub struct InSlot {
     pub writable: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> *mut u8,
     /// The type now behind an untyped port, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
-    /// Since 1.1. Bytes of the plain value, or of the header of the frame, in the sample shown last; 0 without one.
+    /// Since 1.1. Bytes of the plain value, or of the header of the frame, in the sample shown last; 0
+    /// without one.
     pub header_len: unsafe extern "C" fn(ctx: *mut c_void) -> u64,
-    /// Since 1.2. Holds the frame shown last beyond the next one: IN_SAMPLE, and `held` is filled; IN_EMPTY where it was no frame, or
-    /// where too few would stay free for its source; IN_UNBOUND without a connection. The caller sets `struct_size`. For the
-    /// component's thread, as the others.
+    /// Since 1.2. Holds the frame shown last beyond the next one: IN_SAMPLE, and `held` is filled; IN_EMPTY
+    /// where it was no frame, or where too few frames would stay free for its source; IN_UNBOUND without a
+    /// connection. The caller sets `struct_size`. For the component's thread, as the others.
     pub hold: unsafe extern "C" fn(ctx: *mut c_void, held: *mut Held) -> i32,
 }
 
-/// A frame that is held, whatever becomes of the input, as long as the plugin's own code runs. Since 1.2.
+/// A held frame, independent of the input, as long as the plugin's own code runs. Since 1.2.
 #[repr(C)]
 #[derive(Clone, Copy)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
@@ -318,11 +327,11 @@ pub const MODE_CALL: u32 = 1;
 pub struct CallOpts {
     pub struct_size: u32,
     pub mode: u32,
-    /// Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. What
-    /// is only sent and not begun by then never runs; with 0 the connection and the server's class say how
-    /// long its goal is right.
+    /// Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. A
+    /// command that is only sent and has not begun by then never runs; with 0 the connection and the server's
+    /// class say how long its goal is right.
     pub deadline_ns: u64,
-    /// Where the reason goes; may be null.
+    /// Buffer for the reason; may be null.
     pub err: *mut ErrBuf,
     /// Out: stamp of the state row a read was answered from.
     pub stamp_ns: u64,
@@ -344,10 +353,12 @@ pub struct FnSlot {
         ret: *mut c_void,
         opts: *mut CallOpts,
     ) -> Outcome,
-    /// The command's description now behind an untyped function, as manifest JSON; STATUS_UNSUPPORTED while unconnected.
+    /// The command's description now behind an untyped function, as manifest JSON; STATUS_UNSUPPORTED while
+    /// unconnected.
     pub type_of: unsafe extern "C" fn(ctx: *mut c_void, sink: *const Sink) -> Status,
-    /// Since 1.1. As `call`, for an untyped function: INVALID_ARGUMENT unless `arg` and `ret_len` have the sizes of the
-    /// command now behind it. `arg` is aligned to 8; a command that is only sent may leave `ret` out (null and 0).
+    /// Since 1.1. As `call`, for an untyped function: INVALID_ARGUMENT unless `arg` and `ret_len` have the
+    /// sizes of the command now behind it. `arg` is aligned to 8; a command that is only sent may leave `ret`
+    /// out (null and 0).
     pub call_bytes: unsafe extern "C" fn(
         ctx: *mut c_void,
         arg: Bytes,
@@ -375,11 +386,11 @@ pub const LOG_INFO: u32 = 3;
 pub const LOG_DEBUG: u32 = 4;
 pub const LOG_TRACE: u32 = 5;
 
-/// Set in [`HostTable::flags`] at `init` when the plugin is linked into the host's own program: they share their statics,
-/// so a logger that forwards to the host would forward to itself.
+/// Set in [`HostTable::flags`] at `init` when the plugin is linked into the host's own program: they share
+/// their statics, so a logger that forwards to the host would forward to itself.
 pub const HOST_LINKED: u32 = 1;
 
-/// What a host offers to one instance (`create`) or to a whole plugin (`init`).
+/// Services of the host for one instance (`create`) or for a whole plugin (`init`).
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct HostTable {
@@ -400,7 +411,8 @@ pub struct HostTable {
     pub callback_leave: unsafe extern "C" fn(ctx: *mut c_void),
     /// Growth without touching this table: "trocar.parallel/1"; null when unknown.
     pub extension: unsafe extern "C" fn(ctx: *mut c_void, id: Bytes) -> *const c_void,
-    /// Since 1.1. Asks for `describe` and `bind` between two steps: the ports are to be others. Any thread; QUEUED.
+    /// Since 1.1. Asks for `describe` and `bind` between two steps, because the ports have to change. Any
+    /// thread; QUEUED.
     pub ports_changed: unsafe extern "C" fn(ctx: *mut c_void) -> Outcome,
 }
 
@@ -416,12 +428,14 @@ pub struct Parallel {
     pub ctx: *mut c_void,
     /// Threads that work together now, the caller's included; 1 without a pool.
     pub threads: unsafe extern "C" fn(ctx: *mut c_void) -> u32,
-    /// Runs `body` once for each slice number below `slices`, on any of the threads, and returns when all are done: the
-    /// first negative status, or STATUS_OK. Only from `step`, commands and handlers of the component; not from a body.
+    /// Runs `body` once for each slice number below `slices`, on any of the threads, and returns when all are
+    /// done: the first negative status, or STATUS_OK. Only from `step`, commands and handlers of the
+    /// component; not from a body.
     pub run: unsafe extern "C" fn(ctx: *mut c_void, slices: u32, body: *const SliceBody) -> Status,
 }
 
-/// The work on one slice; called from several threads at once, so `data` is shared. Nothing may unwind out of `run`.
+/// The work on one slice; called from several threads at once, so `data` is shared. Nothing may unwind out of
+/// `run`.
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct SliceBody {
@@ -432,13 +446,13 @@ pub struct SliceBody {
 /// Id of the host extension [`Keep`].
 pub const KEEP: &str = "trocar.keep/1";
 
-/// For code that cannot know that nobody still holds what an instance was given, its host table or a slot.
+/// For code that cannot be sure that nobody still holds what an instance was given, its host table or a slot.
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Keep {
     pub struct_size: u32,
     pub flags: u32,
-    /// All that the instance of this table was given stays as it is until the process ends, destroyed or not;
+    /// Keeps all that the instance of this table was given as it is until the process ends, destroyed or not;
     /// slots answer as those of ports without a connection. `ctx` is that of the `HostTable`. Any thread, at
     /// the latest from `bind` or `destroy`.
     pub keep: unsafe extern "C" fn(ctx: *mut c_void),

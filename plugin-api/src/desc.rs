@@ -1,7 +1,7 @@
 //! Static descriptions that derives build and [`crate::render`] turns into the manifest at compile time.
 //!
-//! Invariant: everything here is const data without padding bytes of meaning; no allocation, no floats (numbers of the
-//! author's attributes travel as their literal text).
+//! Invariant: everything here is const data without padding bytes of meaning; no allocation, no floats
+//! (numbers of the author's attributes travel as their literal text).
 
 /// A primitive of payloads. `Stamp` is a u64 of ns on the host's monotonic clock, 0 = invalid.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -89,8 +89,8 @@ impl TypeDesc {
         TypeDesc { size: p.size(), align: p.size(), kind: TypeKind::Prim(p) }
     }
 
-    /// True when a port of this type may say in which coordinate frame it is: some field holds coordinates (an array of
-    /// floating point numbers, or a struct with one) and names no frame of its own.
+    /// Tells whether a port of this type may name its coordinate frame: some field holds coordinates (an
+    /// array of floating point numbers, or a struct with one) and names no frame of its own.
     pub const fn takes_frame(&self) -> bool {
         match &self.kind {
             TypeKind::Array { item, .. } | TypeKind::List { item, .. } => item.takes_frame(),
@@ -109,8 +109,8 @@ impl TypeDesc {
         }
     }
 
-    /// True when a value of this type holds numbers, which limits may be said of. Flags, stamps, texts and
-    /// named values are none.
+    /// Tells whether a value of this type holds numbers, so that limits can apply to it. Flags, stamps, texts
+    /// and named values are no numbers.
     pub const fn has_numbers(&self) -> bool {
         match &self.kind {
             TypeKind::Prim(p) => !matches!(p, Prim::Bool | Prim::Stamp),
@@ -150,7 +150,7 @@ pub struct FieldDesc {
     pub frame: &'static str,
 }
 
-/// What flows through an input or output.
+/// Type of the data that flows through an input or output.
 #[derive(Clone, Copy)]
 pub enum PortType {
     Plain(&'static TypeDesc),
@@ -170,7 +170,7 @@ pub struct InputDesc {
     pub ty: PortType,
     /// Coordinate frame of the payload, empty = not said.
     pub frame: &'static str,
-    /// "" or "sim": takes only what is tagged so, too; enforced at Connect.
+    /// "" or "sim": takes only outputs with the same tag; enforced at Connect.
     pub tag: &'static str,
     pub optional: bool,
     /// Depth of the input's queue in samples; 0 = latest value only.
@@ -257,7 +257,8 @@ pub struct ProvidedDesc {
 pub struct FunctionDesc {
     pub name: &'static str,
     pub doc: &'static str,
-    /// Void when neither `arg` nor `ret`; a function with `ret` binds to reads and to returning commands alike.
+    /// Void when neither `arg` nor `ret`; a function with `ret` binds to reads and to returning commands
+    /// alike.
     pub arg: Option<&'static TypeDesc>,
     pub ret: Option<&'static TypeDesc>,
     /// Unit the argument must have, empty = not checked.
@@ -288,8 +289,8 @@ pub struct RequiredDesc {
     pub handlers: &'static [HandlerDesc],
 }
 
-/// One configuration field. `schema` is the inside of its JSON Schema object (`"type":"number"`), never empty;
-/// `min`, `max`, `default` are JSON text, empty = none.
+/// One configuration field. `schema` is the inside of its JSON Schema object (`"type":"number"`), never
+/// empty; `min`, `max`, `default` are JSON text, empty = none.
 pub struct ConfigFieldDesc {
     pub name: &'static str,
     pub doc: &'static str,
@@ -360,8 +361,8 @@ impl ExecutionLimitsDesc {
         ExecutionLimitsDesc { models: &[], min_period_ns: 0, max_period_ns: 0 };
 }
 
-/// Ports and interfaces that exist once for each name of a list which the component sets while it lives. In their
-/// names, `{}` stands for that name.
+/// Ports and interfaces that exist once for each name of a list which the component sets while it lives. In
+/// their names, `{}` stands for that name.
 pub struct ManyDesc {
     pub inputs: &'static [InputDesc],
     pub outputs: &'static [OutputDesc],

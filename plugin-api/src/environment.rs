@@ -1,5 +1,5 @@
-//! The environment this process was started with, whatever code in it has set since: for programs that a host
-//! or a component starts, which are not to inherit what another component did.
+//! The environment this process was started with, without later changes by code in it: for programs that a
+//! host or a component starts, which must not inherit what another component did.
 //!
 //! Invariant: the C library's own list is not read, which another thread may be changing.
 

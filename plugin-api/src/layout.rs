@@ -1,7 +1,9 @@
-//! Judges whether a plugin was compiled against the same layout of the contract, with abi_stable's descriptions.
+//! Judges whether a plugin was compiled against the same layout of the contract, with abi_stable's
+//! descriptions.
 //!
-//! Invariant: `layouts/1.N.txt` is the layout of ABI 1.N for ever. A plugin is compared with the text of its own minor, a
-//! newer one with ours as its beginning, so that old and new load each other and only real breaks are refused.
+//! Invariant: `layouts/1.N.txt` is the layout of ABI 1.N for ever. A plugin is compared with the text of its
+//! own minor, a newer one with ours as its beginning, so that old and new load each other and only real
+//! breaks are refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
@@ -42,7 +44,7 @@ impl RootModule for ContractRef {
     const VERSION_STRINGS: VersionStrings = abi_stable::package_version_strings!();
 }
 
-/// What a plugin's [`LAYOUT_SYMBOL`] returns.
+/// Header that a plugin's [`LAYOUT_SYMBOL`] returns.
 pub fn header() -> &'static LibHeader {
     extern "C" fn no_table() -> *const PluginTable {
         std::ptr::null()
@@ -129,7 +131,8 @@ fn parse(text: &str) -> BTreeMap<&str, Described<'_>> {
     structs
 }
 
-/// All contract structs reachable from `root` as text: `Name size S align A`, then a line per field, sorted by name.
+/// Describes all contract structs reachable from `root` as text: `Name size S align A`, then a line per
+/// field, sorted by name.
 fn describe(root: &'static TypeLayout) -> String {
     let (mut open, mut seen, mut structs) = (vec![root], BTreeSet::new(), BTreeMap::new());
     while let Some(layout) = open.pop() {

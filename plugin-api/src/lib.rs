@@ -1,7 +1,9 @@
-//! The dlopen boundary between a trocar host and its plugins: `repr(C)` tables, payload descriptions, the manifest.
+//! The dlopen boundary between a trocar host and its plugins: `repr(C)` tables, payload descriptions, the
+//! manifest.
 //!
-//! Invariant: append, never edit. A table starts with its `struct_size`; an entry is read only when it lies inside it.
-//! Nothing allocated on one side is freed on the other. `sdk/c/trocar_plugin.h` is the same contract for C and C++.
+//! Invariant: append, never edit. A table starts with its `struct_size`; an entry is read only when it lies
+//! inside it. Nothing allocated on one side is freed on the other. `sdk/c/trocar_plugin.h` is the same
+//! contract for C and C++.
 #![forbid(unsafe_code)]
 
 pub mod abi;

@@ -1,7 +1,9 @@
-//! What a host takes of a class, at most; and the check of a description against it while a plugin is compiled.
+//! Upper limits of a host for a class, and the check of a description against them while a plugin is
+//! compiled.
 //!
-//! Invariant: no class that passes here and the derives is refused when a host lists it. The numbers are the host's own
-//! (`tests/it/embedding/limits.rs` holds both sides together), so one may only grow after the host's has.
+//! Invariant: no class that passes here and the derives is refused when a host lists it. The numbers are the
+//! host's own (`tests/it/embedding/limits.rs` holds both sides together), so one may only grow after the
+//! host's has.
 
 use crate::desc::{
     ClassDesc, CommandKind, InputDesc, OutputDesc, PluginDesc, PortType, ProvidedDesc, RequiredDesc,
@@ -32,7 +34,7 @@ pub const MAX_MEMBERS: usize = 10_000;
 /// Deepest nesting of arrays, lists and structs.
 pub const MAX_DEPTH: usize = 32;
 
-/// What is wrong with a name; none when a host takes it.
+/// Returns what is wrong with a name; none when a host takes it.
 pub fn name_fault(name: &str) -> Option<String> {
     let first = |c: char| c.is_ascii_alphabetic() || c == '_';
     let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
@@ -51,7 +53,7 @@ pub fn name_fault(name: &str) -> Option<String> {
 /// Fails the build of a class that no host would list.
 ///
 /// # Panics
-/// With what is wrong, and where.
+/// A host would not list the class; the message says what is wrong, and where.
 pub const fn check_class(class: &ClassDesc) {
     let many = &class.many;
     ports(class.inputs, class.outputs);
@@ -72,7 +74,7 @@ pub const fn check_class(class: &ClassDesc) {
 /// Fails the build of a plugin that no host would list.
 ///
 /// # Panics
-/// With what is wrong.
+/// A host would not list the plugin; the message says what is wrong.
 pub const fn check_plugin(plugin: &PluginDesc) {
     let name = plugin.name.as_bytes();
     let mut plain = !name.is_empty() && name.len() <= MAX_NAME;
@@ -209,7 +211,7 @@ const fn nested(place: Place, ty: &TypeDesc, depth: usize) {
     }
 }
 
-/// What is talked of: `command ctl/move`.
+/// Subject of a message: `command ctl/move`.
 #[derive(Clone, Copy)]
 struct Place {
     kind: &'static str,
@@ -230,7 +232,7 @@ impl Place {
     }
 }
 
-/// A message put together while compiling; what does not fit is left out.
+/// A message put together while compiling; text that does not fit is left out.
 pub(crate) struct Sentence {
     bytes: [u8; 400],
     len: usize,

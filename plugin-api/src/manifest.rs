@@ -1,6 +1,7 @@
 //! The manifest as a host reads it from the note.
 //!
-//! Invariant: unknown keys are ignored (newer plugins load in older hosts); a missing key a host needs is an error that names it.
+//! Invariant: unknown keys are ignored (newer plugins load in older hosts); an error names a missing key that
+//! a host needs.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -149,7 +150,7 @@ pub struct Class {
     pub state: Option<Type>,
 }
 
-/// What `describe` writes: the class as it is with the present configuration, and the types its ports name.
+/// Output of `describe`: the class with the present configuration, and the types its ports name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Description {
     #[serde(default)]
@@ -163,7 +164,8 @@ pub struct Execution {
     pub model: String,
     #[serde(default)]
     pub period_ns: u64,
-    /// Longest stay inside its own code before a component without a period counts as unresponsive; 0 = 50 ms.
+    /// Longest stay inside its own code before a component without a period counts as unresponsive; 0 = 50
+    /// ms.
     #[serde(default)]
     pub max_step_ns: u64,
     /// Models its components can be run by; empty = any.

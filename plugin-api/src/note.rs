@@ -1,6 +1,7 @@
 //! The ELF note that carries a plugin's manifest.
 //!
-//! Invariant: readers find it by section `.note.trocar` or by PT_NOTE, name `TROCAR\0`, type 1; the text is JSON.
+//! Invariant: readers find it by section `.note.trocar` or by PT_NOTE, name `TROCAR\0`, type 1; the text is
+//! JSON.
 
 /// Section of the note.
 pub const SECTION: &str = ".note.trocar";

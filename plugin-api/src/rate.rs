@@ -1,4 +1,4 @@
-//! At most so many a second: which samples of a faster source are kept.
+//! A limit of samples per second: it decides which samples of a faster source are kept.
 //!
 //! Invariant: the samples that are kept lie on a grid that does not move with them, so that the rate asked
 //! for is the rate kept. A gap counted from the last sample would keep every second one of 30 Hz where 20 Hz
@@ -6,10 +6,10 @@
 
 /// Keeps the samples nearest to the points of a grid.
 ///
-/// A sample is kept when the next one would be farther from the point; the interval to the sample before says
-/// when that one comes. The jitter of a source that is as fast as the grid loses nothing, and samples kept of a
-/// much faster one are a gap apart. A slower source is kept whole. Pure: times come from the caller, ns of one
-/// clock, and a clock that goes back begins a new grid.
+/// A sample is kept when the next one would be farther from the point; the interval to the previous sample
+/// predicts the time of the next one. The jitter of a source that is as fast as the grid loses nothing, and
+/// samples kept of a much faster one are a gap apart. A slower source is kept whole. Pure: times come from
+/// the caller, ns of one clock, and a clock that goes back begins a new grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RateLimit {
     /// Between two points of the grid, ns; 0 = everything is kept.
@@ -24,13 +24,13 @@ impl RateLimit {
     /// Keeps everything.
     pub const UNLIMITED: RateLimit = RateLimit::every(0);
 
-    /// At most `rate_hz` a second, Hz; what is no positive number keeps everything.
+    /// Keeps at most `rate_hz` samples a second, Hz; a value that is no positive number keeps everything.
     #[must_use]
     pub fn new(rate_hz: f64) -> RateLimit {
         if rate_hz > 0.0 { RateLimit::every((1e9 / rate_hz) as u64) } else { RateLimit::UNLIMITED }
     }
 
-    /// At most one in `gap_ns`, ns; 0 keeps everything.
+    /// Keeps at most one sample in `gap_ns`, ns; 0 keeps everything.
     #[must_use]
     pub const fn every(gap_ns: u64) -> RateLimit {
         RateLimit { gap_ns, due_ns: 0, last_ns: 0 }
@@ -45,7 +45,7 @@ impl RateLimit {
         self
     }
 
-    /// Whether a sample of this time is to be kept; asked for each.
+    /// Tells whether a sample of this time is kept; called for each sample.
     #[must_use]
     pub fn is_due(&mut self, now_ns: u64) -> bool {
         let interval_ns = now_ns.saturating_sub(self.last_ns);
@@ -57,7 +57,7 @@ impl RateLimit {
     /// A sample of this time was kept.
     pub fn keep(&mut self, now_ns: u64) {
         let next_ns = self.due_ns.saturating_add(self.gap_ns);
-        // After a silence the grid begins anew: what did not come is not made up for.
+        // After a silence the grid begins anew: missing samples are not made up for.
         let anew = self.is_new(now_ns) || now_ns >= next_ns;
         self.due_ns = if anew { now_ns.saturating_add(self.gap_ns).max(1) } else { next_ns };
     }
@@ -79,7 +79,7 @@ impl RateLimit {
         self.due_ns
     }
 
-    /// Nothing was kept yet, or the time is from before the last one that was: another clock.
+    /// Tells whether nothing was kept yet, or the time is before that of the last kept sample: another clock.
     fn is_new(&self, now_ns: u64) -> bool {
         self.gap_ns == 0 || self.due_ns == 0 || now_ns.saturating_add(2 * self.gap_ns) < self.due_ns
     }

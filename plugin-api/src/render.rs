@@ -1,6 +1,7 @@
 //! Renders a [`PluginDesc`] to the manifest's JSON in a const context.
 //!
-//! Invariant: the same bytes whether called to count (`N = 0`) or to fill; each struct or enum appears once in `types`.
+//! Invariant: the same bytes whether called to count (`N = 0`) or to fill; each struct or enum appears once
+//! in `types`.
 
 mod out;
 
@@ -12,8 +13,8 @@ use crate::desc::{
 use crate::types::Types;
 use out::Out;
 
-/// The manifest and its length. Call with `N = 0` for the length, then with that `N`; the text is padded with spaces
-/// to a multiple of 4 bytes.
+/// The manifest and its length. Call with `N = 0` for the length, then with that `N`; the text is padded with
+/// spaces to a multiple of 4 bytes.
 pub const fn render<const N: usize>(plugin: &PluginDesc) -> ([u8; N], usize) {
     let mut out = Out { buf: [b' '; N], len: 0 };
     out.plugin(plugin);
@@ -22,8 +23,9 @@ pub const fn render<const N: usize>(plugin: &PluginDesc) -> ([u8; N], usize) {
     (out.buf, padded)
 }
 
-/// What a class with changing ports writes from `describe`, before its lists of names are filled in: the fixed part of
-/// the class, the types of both parts, and under `many` the ports and interfaces to repeat. `N` as in [`render`].
+/// Renders what a class with changing ports writes from `describe`, before its lists of names are filled in:
+/// the fixed part of the class, the types of both parts, and under `many` the ports and interfaces to repeat.
+/// `N` as in [`render`].
 pub const fn render_description<const N: usize>(class: &ClassDesc) -> ([u8; N], usize) {
     let mut out = Out { buf: [b' '; N], len: 0 };
     out.description(class);

@@ -1,4 +1,5 @@
-//! Collects the structs and enums that descriptions name, each once, items before what contains them.
+//! Collects the structs and enums that descriptions name, each once, items before the types that contain
+//! them.
 //!
 //! Invariant: two different types never share a name; the build of a plugin that tries fails.
 
@@ -37,7 +38,7 @@ const fn named(ty: &TypeDesc) -> Option<&'static str> {
     }
 }
 
-/// One description in all that a manifest says of a type but its doc comments.
+/// Tells whether two descriptions agree in all that a manifest says of a type except its doc comments.
 const fn same(a: &TypeDesc, b: &TypeDesc) -> bool {
     if a.size != b.size || a.align != b.align {
         return false;

@@ -1,10 +1,10 @@
 //! Units of measurement as plugins write them: the grammar, and which symbols there are.
 //!
-//! Invariant: accepts exactly what the host's reader accepts (a test of the SDK compares them), so a unit that compiles
-//! is read. Whether two units are the same is the host's business.
+//! Invariant: accepts exactly what the host's reader accepts (a test of the SDK compares them), so a unit
+//! that compiles is read. Whether two units are the same is the host's business.
 //!
-//! A unit is symbols with a prefix and a power, joined by `*` (or `.` or `·`), then divided by `/`: `mm`, `rad/s^2`,
-//! `N.m`, `1/m`. Alternatives are separated by `|`: `m|rad`. "" and `1` are no unit.
+//! A unit is symbols with a prefix and a power, joined by `*` (or `.` or `·`), then divided by `/`: `mm`,
+//! `rad/s^2`, `N.m`, `1/m`. Alternatives are separated by `|`: `m|rad`. "" and `1` are no unit.
 
 /// Longest text, bytes.
 const MAX_LEN: usize = 64;
@@ -26,7 +26,7 @@ const PLAIN: [&str; 22] = [
     "frame", "line", "step", "cycle", "%", "ppm", "dB", "dBm",
 ];
 
-/// What people write instead.
+/// Common spellings that are no symbols, each with its symbol.
 const HABITS: [(&str, &str); 26] = [
     ("meter", "m"),
     ("metre", "m"),

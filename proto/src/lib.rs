@@ -1,7 +1,7 @@
 //! The `trocar.v1` gRPC API: messages, clients and servers generated from `proto/trocar/v1`.
 //!
-//! Invariant: nothing here is written by hand but this page; `tests/generated.rs` fails when the committed code and the
-//! `.proto` files differ (`TROCAR_BLESS=1 cargo test -p trocar-proto` rewrites it).
+//! Invariant: nothing here is written by hand but this page; `tests/generated.rs` fails when the committed
+//! code and the `.proto` files differ (`TROCAR_BLESS=1 cargo test -p trocar-proto` rewrites it).
 #![forbid(unsafe_code)]
 
 /// Messages, clients and servers of package `trocar.v1`.
@@ -10,5 +10,6 @@ pub mod v1 {
     include!("gen/trocar.v1.rs");
 }
 
-/// Encoded `FileDescriptorSet` of `trocar.v1` and everything it imports, with comments: what reflection answers from.
+/// Encoded `FileDescriptorSet` of `trocar.v1` and everything it imports, with comments: what reflection
+/// answers from.
 pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!("gen/trocar.v1.bin");

@@ -14,8 +14,8 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The sums that `proto/generate` wrote beside the code name what the code was made from. The generator itself
-/// runs in `./tests/run --all` (suite `generated`).
+/// The sums that `proto/generate` wrote beside the code name what the code was made from. The generator
+/// itself runs in `./tests/run --all` (suite `generated`).
 #[test]
 fn the_committed_code_belongs_to_the_committed_proto_files() {
     let help = "run `cargo run --manifest-path proto/generate/Cargo.toml` and commit proto/src/gen";

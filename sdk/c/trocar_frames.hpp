@@ -1,6 +1,8 @@
-// Inputs and outputs of frames: a plain header and bytes in the host's pooled memory, never copied on the way.
+// Inputs and outputs of frames: a plain header and bytes in the host's pooled memory, never copied on the
+// way.
 //
-// Invariant: what an input shows is valid until it is asked again; a loan that is not committed goes back by itself.
+// Invariant: what an input shows is valid until it is asked again; a loan that is not committed goes back by
+// itself.
 #ifndef TROCAR_FRAMES_HPP
 #define TROCAR_FRAMES_HPP
 
@@ -12,8 +14,9 @@
 
 namespace trocar {
 
-// Whether an image lies in `size` bytes from `offset` on, as a frame's header, a peer's word, says: `height` rows, `stride`
-// bytes apart, of `width` pixels of `pixel` bytes. Without overflow, whatever the numbers; ask it before touching a row.
+// Whether an image lies in `size` bytes from `offset` on, as a frame's header, a peer's word, says: `height`
+// rows, `stride` bytes apart, of `width` pixels of `pixel` bytes. Without overflow, whatever the numbers; ask
+// it before touching a row.
 constexpr bool image_fits(uint64_t size, uint32_t width, uint32_t height, uint32_t stride, uint32_t pixel,
                           uint64_t offset = 0) {
     const uint64_t row = uint64_t(width) * pixel;

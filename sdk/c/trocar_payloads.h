@@ -168,7 +168,7 @@ TROCAR_ASSERT(offsetof(trocar_joint_state, velocity) == 144, "velocity");
 TROCAR_ASSERT(offsetof(trocar_joint_state, effort) == 280, "effort");
 #define TROCAR_TYPE_JOINT_STATE \
     "{\"name\":\"JointState\",\"doc\":\"Joint vectors of a robot (CRTK `measured_js`, `setpoint_js`). " \
-    "Prismatic joints in m, revolute ones in rad; the\\ninterface's `configuration_js` says which is " \
+    "Prismatic joints in m, revolute ones in rad;\\nthe interface's `configuration_js` says which is " \
     "which.\",\"size\":416,\"align\":8,\"fields\":[{\"name\":\"stamp\",\"at\":0,\"type\":\"stamp\"}," \
     "{\"name\":\"position\",\"at\":8,\"type\":{\"list\":\"f64\",\"n\":16},\"unit\":\"m|rad\"}," \
     "{\"name\":\"velocity\",\"at\":144,\"type\":{\"list\":\"f64\",\"n\":16},\"unit\":\"m/s|rad/s\"}," \
@@ -263,7 +263,7 @@ TROCAR_ASSERT(offsetof(trocar_arm_state, measured_cf) == 488, "measured_cf");
 /* The manifest needs TROCAR_TYPE_JOINT_STATE, TROCAR_TYPE_POSE and TROCAR_TYPE_WRENCH beside it. */
 #define TROCAR_TYPE_ARM_STATE \
     "{\"name\":\"ArmState\",\"doc\":\"One sample of an arm's stream: joints, tip and wrench of the same " \
-    "instant, so they carry the same stamp; a wrench that is not\\nmeasured has stamp 0.\",\"size\":544," \
+    "instant, so they carry the same stamp; a\\nwrench that is not measured has stamp 0.\",\"size\":544," \
     "\"align\":8,\"fields\":[{\"name\":\"stamp\",\"at\":0,\"type\":\"stamp\"},{\"name\":\"measured_js\"," \
     "\"at\":8,\"type\":{\"ref\":\"JointState\"}},{\"name\":\"measured_cp\",\"at\":424," \
     "\"type\":{\"ref\":\"Pose\"}},{\"name\":\"measured_cf\",\"at\":488,\"type\":{\"ref\":\"Wrench\"}," \
@@ -366,7 +366,7 @@ TROCAR_ASSERT(offsetof(trocar_retreat, speed) == 8, "speed");
 TROCAR_ASSERT(offsetof(trocar_retreat, delay) == 16, "delay");
 #define TROCAR_TYPE_RETREAT \
     "{\"name\":\"Retreat\",\"doc\":\"What an arm does by itself when a motion by velocity or force is not " \
-    "repeated in time: it brakes, waits, and takes its tip\\nback along the tool.\",\"size\":24," \
+    "repeated in time: it brakes, waits,\\nand takes its tip back along the tool.\",\"size\":24," \
     "\"align\":8,\"fields\":[{\"name\":\"distance\",\"at\":0,\"type\":\"f64\",\"unit\":\"m\"," \
     "\"doc\":\"Back along the tool; 0 = it stays where it stands.\"},{\"name\":\"speed\",\"at\":8," \
     "\"type\":\"f64\",\"unit\":\"m/s\",\"doc\":\"Of the tip, at most.\"},{\"name\":\"delay\",\"at\":16," \
@@ -680,7 +680,7 @@ TROCAR_ASSERT(offsetof(trocar_spectra_header, line_period) == 32, "line_period")
 /* The manifest needs TROCAR_TYPE_SAMPLE_FORMAT beside it. */
 #define TROCAR_TYPE_SPECTRA_HEADER \
     "{\"name\":\"SpectraHeader\",\"doc\":\"Header of a frame of raw spectra: `lines` exposures one after " \
-    "the other, each of `samples` pixels of the detector.\",\"size\":40,\"align\":8," \
+    "the other, each of `samples` pixels of the\\ndetector.\",\"size\":40,\"align\":8," \
     "\"fields\":[{\"name\":\"stamp\",\"at\":0,\"type\":\"stamp\",\"doc\":\"Middle of the first line's " \
     "exposure.\"},{\"name\":\"index\",\"at\":8,\"type\":\"u64\",\"doc\":\"Counts the source's lines, from " \
     "0; that of the first line here.\"},{\"name\":\"lines\",\"at\":16,\"type\":\"u32\",\"doc\":\"Exposures " \
@@ -723,7 +723,7 @@ TROCAR_ASSERT(offsetof(trocar_a_scan_header, first) == 48, "first");
 /* The manifest needs TROCAR_TYPE_SAMPLE_FORMAT beside it. */
 #define TROCAR_TYPE_A_SCAN_HEADER \
     "{\"name\":\"AScanHeader\",\"doc\":\"Header of a frame of A-scans: `lines` depth profiles one after " \
-    "the other, each of `samples` bins, in dB for `F32`.\",\"size\":56,\"align\":8," \
+    "the other, each of `samples` bins, in dB\\nfor `F32`.\",\"size\":56,\"align\":8," \
     "\"fields\":[{\"name\":\"stamp\",\"at\":0,\"type\":\"stamp\",\"doc\":\"That of the spectra it was made " \
     "of.\"},{\"name\":\"index\",\"at\":8,\"type\":\"u64\",\"doc\":\"That of the spectra it was made of.\"}," \
     "{\"name\":\"lines\",\"at\":16,\"type\":\"u32\",\"doc\":\"Depth profiles in this frame.\"}," \
@@ -768,8 +768,7 @@ typedef struct trocar_distance {
     /* When it was so: the middle of the exposure. */
     trocar_stamp stamp;
     double distance; /* m */
-    /* Of the surface along the tool, away from the tip positive, against the robot's base; NaN where
-     * nobody knows it. */
+    /* Velocity of the surface along the tool against the base, away from the tip positive; NaN: not known. */
     double velocity; /* m/s */
     /* Standard deviation of `distance`. */
     double sigma; /* m */
@@ -791,9 +790,9 @@ TROCAR_ASSERT(offsetof(trocar_distance, reserved) == 41, "reserved");
     "{\"name\":\"Distance\",\"doc\":\"A distance from the tip of a tool to a surface, along the tool.\"," \
     "\"size\":48,\"align\":8,\"fields\":[{\"name\":\"stamp\",\"at\":0,\"type\":\"stamp\",\"doc\":\"When it " \
     "was so: the middle of the exposure.\"},{\"name\":\"distance\",\"at\":8,\"type\":\"f64\"," \
-    "\"unit\":\"m\"},{\"name\":\"velocity\",\"at\":16,\"type\":\"f64\",\"unit\":\"m/s\",\"doc\":\"Of the " \
-    "surface along the tool, away from the tip positive, against the robot's base; NaN where nobody knows " \
-    "it.\"},{\"name\":\"sigma\",\"at\":24,\"type\":\"f64\",\"unit\":\"m\",\"doc\":\"Standard deviation of " \
+    "\"unit\":\"m\"},{\"name\":\"velocity\",\"at\":16,\"type\":\"f64\",\"unit\":\"m/s\",\"doc\":\"Velocity " \
+    "of the surface along the tool against the base, away from the tip positive; NaN: not known.\"}," \
+    "{\"name\":\"sigma\",\"at\":24,\"type\":\"f64\",\"unit\":\"m\",\"doc\":\"Standard deviation of " \
     "`distance`.\"},{\"name\":\"snr_db\",\"at\":32,\"type\":\"f64\",\"doc\":\"The surface's echo above the " \
     "noise, dB; 0 without one.\"},{\"name\":\"valid\",\"at\":40,\"type\":\"bool\",\"doc\":\"False: there " \
     "was no surface to be seen, and the rest is at best a prediction.\"},{\"name\":\"reserved\",\"at\":41," \

@@ -1,4 +1,5 @@
-// C++17 over trocar_plugin.h, header-only: a component is a struct, its ports are fields, its commands are methods.
+// C++17 over trocar_plugin.h, header-only: a component is a struct, its ports are fields, its commands are
+// methods.
 //
 // Invariant: positions are looked up by name in the manifest and sizes compared with it, so manifest and code
 // cannot drift apart unnoticed; no exception leaves the tables (trocar::Refused is the author's answer,
@@ -132,10 +133,11 @@ template <class T = None> class Event {
     const trocar_event *slot_ = nullptr;
 };
 
-// What an author derives from; override what you need. Throw Refused to say no with a sentence: from configure the component
-// is as it was before, so change nothing until all is checked; a command or read has failed for its caller and nothing else
-// happens; from start, stop, resume, make_safe and step the component is in FAULT. Refused(why, TROCAR_STATUS_FAILED) from
-// configure puts it in FAULT as well, and so does every other exception wherever it comes from.
+// What an author derives from; override what you need. Throw Refused to say no with a sentence: from
+// configure the component is as it was before, so change nothing until all is checked; a command or read has
+// failed for its caller and nothing else happens; from start, stop, resume, make_safe and step the component
+// is in FAULT. Refused(why, TROCAR_STATUS_FAILED) from configure puts it in FAULT as well, and so does every
+// other exception wherever it comes from.
 struct Component {
     const trocar_host *host = nullptr;
     std::string name;
@@ -145,13 +147,15 @@ struct Component {
     virtual void start() {}
     virtual void stop() {}
     virtual void resume() {}
-    // With "safe_from_any_thread" in the manifest this runs beside an entry that hangs, and beside itself: touch only
-    // std::atomic members and handles made for several threads, and wait for no mutex that another entry holds.
+    // With "safe_from_any_thread" in the manifest this runs beside an entry that hangs, and beside itself:
+    // touch only std::atomic members and handles made for several threads, and wait for no mutex that another
+    // entry holds.
     virtual void make_safe() {}
     virtual void step(const trocar_tick &) {}
     virtual void answered(uint64_t, const Json &) {}
-    // Ports that change: the whole description, {"types": [...], "class": {...}}, what the manifest names first and in its
-    // order, then inputs, outputs, functions and events beyond it. Asked after configure and after ports_changed().
+    // Ports that change: the whole description, {"types": [...], "class": {...}}, what the manifest names
+    // first and in its order, then inputs, outputs, functions and events beyond it. Asked after configure and
+    // after ports_changed().
     virtual std::string describe() { return std::string(); }
     // With describe: the slots, in the order of what it wrote last; those of the manifest are tied already.
     virtual void bound(const trocar_ports &) {}
@@ -243,15 +247,15 @@ template <class C> class Members {
             answer<void, A...>([&](auto &&...a) { (c.*f)(a...); }, arg, nullptr);
         };
     }
-    // Members of interfaces that describe writes once for each name of a list, "arm_{}/move_jp": the first parameter says
-    // which one is meant, from 0 in the order of the description. R f(size_t), R f(size_t, A).
+    // Members of interfaces that describe writes once for each name of a list, "arm_{}/move_jp": the first
+    // parameter says which one is meant, from 0 in the order of the description. R f(size_t), R f(size_t, A).
     template <class R, class... A> void each_command(std::string_view name, R (C::*f)(size_t, A...)) {
         repeated.command(name, bytes_of_all<A...>(), bytes_of<R>(), [f](C &c, size_t each, const void *arg, void *ret) {
             answer<R, A...>([&](auto &&...a) -> R { return (c.*f)(each, a...); }, arg, ret);
         });
     }
-    // R f(const State &, size_t), R f(const State &, size_t, A). A class with these has one repeated provided interface, and
-    // its description the members in the order they are given here.
+    // R f(const State &, size_t), R f(const State &, size_t, A). A class with these has one repeated provided
+    // interface, and its description the members in the order they are given here.
     template <class R, class S, class... A> void each_read(std::string_view name, R (*f)(const S &, size_t, A...)) {
         static_assert(std::is_trivially_copyable_v<S>, "the state is plain data");
         sizes_.same(name, "state", manifest_["state"], bytes_of<S>());

@@ -1,7 +1,8 @@
 // Members of interfaces that exist once for each name of a list, and how pointers of an entry become a call.
 //
-// Invariant: an id beyond the manifest means what the description in force says: describe looks the names up, bind puts what
-// it found in force. Reads know no instance, so their ids follow from the order in which the members are given.
+// Invariant: an id beyond the manifest means what the description in force says: describe looks the names up,
+// bind puts what it found in force. Reads know no instance, so their ids follow from the order in which the
+// members are given.
 #ifndef TROCAR_REPEATED_HPP
 #define TROCAR_REPEATED_HPP
 
@@ -45,7 +46,8 @@ template <class R, class... A, class F> void answer(F &&f, const void *arg, void
     }
 }
 
-// What an id beyond the manifest means: a member, and of which of its interfaces, counted in the order of the description.
+// What an id beyond the manifest means: a member, and of which of its interfaces, counted in the order of the
+// description.
 struct Place {
     size_t member;
     size_t each;
@@ -54,7 +56,8 @@ struct Beyond {
     std::vector<Place> commands, handlers;
 };
 
-// What class C offers and handles in interfaces with {} in their name. Names of members are "interface_{}/member".
+// What class C offers and handles in interfaces with {} in their name. Names of members are
+// "interface_{}/member".
 template <class C> class Repeated {
   public:
     using Command = std::function<void(C &, size_t, const void *, void *)>;

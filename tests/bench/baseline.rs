@@ -116,8 +116,8 @@ pub(crate) fn ring(words: u64) -> f64 {
     began.elapsed().as_nanos() as f64 / words as f64
 }
 
-/// A word put into a ring for a thread that sleeps on a futex, and back through another ring, median ns for both ways: what
-/// any queued call has to pay.
+/// A word put into a ring for a thread that sleeps on a futex, and back through another ring, median ns for
+/// both ways: what any queued call has to pay.
 pub(crate) fn ping_pong(trips: u64) -> f64 {
     let ((mut ask, mut asked), (mut answer, mut answered)) = (End::pair(), End::pair());
     let caller = thread::current();

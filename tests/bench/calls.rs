@@ -69,7 +69,8 @@ pub(crate) fn chain(table: &mut Table) {
     table.row(&what, commands_handed_on(), Goal::None, &beside, bare);
 }
 
-/// Each takes its sample, writes it and has the next one take it; ns for all. Nobody of them has a row to publish but the last.
+/// Each takes its sample, writes it and has the next one take it; ns for all. Nobody of them has a row to
+/// publish but the last.
 fn samples_handed_on() -> f64 {
     let lab = Lab::new();
     lab.create("gauge", "gauge", Execution::default());

@@ -1,4 +1,5 @@
-//! 1 kHz for a while: whether the grid holds, whether all periods are accounted for, and how late cycles begin.
+//! 1 kHz for a while: whether the grid holds, whether all periods are accounted for, and how late cycles
+//! begin.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,4 +1,5 @@
-//! A host inside the benchmark, with the measuring components of a real plugin file; alone, or as the GCM of other processes.
+//! A host inside the benchmark, with the measuring components of a real plugin file; alone, or as the GCM of
+//! other processes.
 
 use std::time::Duration;
 
@@ -46,7 +47,8 @@ impl Lab {
         self.remove(&name);
     }
 
-    /// A file counts as finished when it has not changed for a while, and a process may still be about to come.
+    /// A file counts as finished when it has not changed for a while, and a process may still be about to
+    /// come.
     pub(crate) fn create_when_offered(&self, name: &str, class: &str, execution: &Execution) {
         eventually(&format!("{class} is offered"), || {
             self.try_create(name, class, json!({}), execution.clone()).map_err(|e| e.to_string())

@@ -1,8 +1,8 @@
-//! What trocar costs, as ratios measured in one run: `bench [--seconds N] [SUBJECT…]`; and whether a surgical system holds its
-//! gates under its full load: `bench [--seconds N] [--kills N] eyesaw`.
+//! What trocar costs, as ratios measured in one run: `bench [--seconds N] [SUBJECT…]`; and whether a surgical
+//! system holds its gates under its full load: `bench [--seconds N] [--kills N] eyesaw`.
 //!
-//! Invariant: every figure stands beside a baseline of the same run on the same machine; only what is called `eyesaw` passes or
-//! fails, and runs only when it is named.
+//! Invariant: every figure stands beside a baseline of the same run on the same machine; only what is called
+//! `eyesaw` passes or fails, and runs only when it is named.
 
 mod baseline;
 mod calls;

@@ -52,7 +52,8 @@ fn tapped(class: &str, port: &str) -> [f64; 2] {
     [0, 1].map(|at| median(all.iter().map(|figures| figures[at]).collect()))
 }
 
-/// As [`between`], and a whole turn, with a listener for each on a thread that looks each millisecond, connected to this tap.
+/// As [`between`], and a whole turn, with a listener for each on a thread that looks each millisecond,
+/// connected to this tap.
 fn with_taps(class: &str, port: Option<&str>) -> [f64; 2] {
     let lab = Lab::new();
     lab.create("head", "head", model(ExecutionModel::Continuous));

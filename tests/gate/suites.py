@@ -277,8 +277,14 @@ SUITES = [
     outer("sdk_devices", "the sdk's device contracts", grpcurl=False),
     outer("sdk_helpers", "the sdk's helpers", grpcurl=False),
     outer("services", "what components ask of the manager"),
-    script("readme", "the README, typed in", mode("python3", "tests/readme/suite.py"), grpcurl=True),
+    script("readme", "README and tour, typed in", mode("python3", "tests/readme/suite.py"), grpcurl=True),
     script("gate", "the runner of these suites itself", mode("python3", "tests/gate/tests.py"), drives=False),
+    script(
+        "words",
+        "plain words in comments, texts, pages and commits",
+        mode("python3", "tests/words/suite.py"),
+        drives=False,
+    ),
     script(
         "viewer_dist",
         "the committed page is what its sources make",

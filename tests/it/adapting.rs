@@ -1,6 +1,7 @@
 //! Connections whose ends lay the same fields out in two ways, nested as deep as payloads are.
 //!
-//! Promise: with `adapt` every value arrives under its own name; what cannot be copied so is refused with the reason.
+//! Promise: with `adapt` every value arrives under its own name; what cannot be copied so is refused with the
+//! reason.
 
 use std::time::Duration;
 

@@ -1,6 +1,7 @@
 //! Ports that change and ports without a type, in a host with linked classes.
 //!
-//! Promise: what the SDK describes, the host ties; an id never reaches the neighbour; untyped ports need no `unsafe`.
+//! Promise: what the SDK describes, the host ties; an id never reaches the neighbour; untyped ports need no
+//! `unsafe`.
 
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;

@@ -1,6 +1,7 @@
 //! The command line as scripts and people meet it.
 //!
-//! Promise: every mistake gets one clear sentence with the remedy and the right exit code, and leaves nothing half made.
+//! Promise: every mistake gets one clear sentence with the remedy and the right exit code, and leaves nothing
+//! half made.
 
 mod check;
 mod doctor;

@@ -1,9 +1,9 @@
 //! Two hundred random interleavings of changes and calls for each language, by seed; and as many between two
 //! processes.
 //!
-//! Promise: whatever is asked in whatever order, every call has one outcome, counts add up, desired is observed, and
-//! nothing is left behind. `TROCAR_SEED=n` plays one seed alone, `TROCAR_SEEDS=5` five times as many,
-//! as `./tests/run --all` does.
+//! Promise: whatever is asked in whatever order, every call has one outcome, counts add up, desired is
+//! observed, and nothing is left behind. `TROCAR_SEED=n` plays one seed alone, `TROCAR_SEEDS=5` five times as
+//! many, as `./tests/run --all` does.
 
 use trocar_tests::conformance::random::{self, Servers};
 use trocar_tests::conformance::{Language, Languages};

@@ -1,7 +1,8 @@
 //! The control plane as a script meets it: real grpcurl, no proto file, every promise of the requests.
 //!
-//! Promise: dry runs change nothing, repeated ids do nothing twice, stale revisions are refused, and every refusal of the
-//! error table (`errors.rs` beside this file) has its code and reason, and a help that helps (`helps.rs`).
+//! Promise: dry runs change nothing, repeated ids do nothing twice, stale revisions are refused, and every
+//! refusal of the error table (`errors.rs` beside this file) has its code and reason, and a help that helps
+//! (`helps.rs`).
 
 #[path = "control_plane/errors.rs"]
 mod errors;

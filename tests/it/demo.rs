@@ -1,8 +1,8 @@
 //! The newcomer's first command.
 //!
-//! Promise: `trocar demo` runs robot or hand at 1 kHz, OCT at 4 kHz and video at 30 pairs/s, in one process or
-//! three with the same figures, accounts for every period and picture, keeps the tip at its distance, shows what
-//! was done in pictures, and stops cleanly; a process of it that is killed comes back.
+//! Promise: `trocar demo` runs robot or hand at 1 kHz, OCT at 4 kHz and video at 30 pairs/s, in one process
+//! or three with the same figures, accounts for every period and picture, keeps the tip at its distance,
+//! shows what was done in pictures, and stops cleanly; a process of it that is killed comes back.
 
 mod counted;
 mod terminal;

@@ -1,6 +1,7 @@
 //! Several processes: one GCM, hosts that attach to it.
 //!
-//! Promise: every host is listed and controlled through the one GCM; a name is taken once; a killed host is shown as lost.
+//! Promise: every host is listed and controlled through the one GCM; a name is taken once; a killed host is
+//! shown as lost.
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, World, eventually};

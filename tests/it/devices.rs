@@ -1,7 +1,8 @@
-//! The plugins of the product as a newcomer drives them: the built host, `trocar`, real grpcurl, a browser's requests.
+//! The plugins of the product as a newcomer drives them: the built host, `trocar`, real grpcurl, a browser's
+//! requests.
 //!
-//! Promise: robot, OCT, cameras, vision filters, displays and filters do from outside what `trocar describe` says of them, and
-//! each wrong value is refused with what is wrong and what to do.
+//! Promise: robot, OCT, cameras, vision filters, displays and filters do from outside what `trocar describe`
+//! says of them, and each wrong value is refused with what is wrong and what to do.
 
 mod filters;
 mod lines;
@@ -72,7 +73,8 @@ impl Site {
         assert!(refused.reason == reason && refused.message.contains(words), "{path} {arg}: {refused}");
     }
 
-    /// Checks that settings are refused over gRPC, for this reason and with these words, and that none of them holds.
+    /// Checks that settings are refused over gRPC, for this reason and with these words, and that none of
+    /// them holds.
     #[track_caller]
     fn unfit(&self, component: &str, config: &Value, reason: &str, words: &str) {
         let before = self.grpc.component(component)["config"].clone();

@@ -1,6 +1,7 @@
 //! A host inside a program: `Host::builder()`, classes linked in, no port, no plugin file.
 //!
-//! Promise: a linked class is a class like any other; everything grpcurl can ask, the program can ask without gRPC.
+//! Promise: a linked class is a class like any other; everything grpcurl can ask, the program can ask without
+//! gRPC.
 
 mod bench;
 mod limits;

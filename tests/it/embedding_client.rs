@@ -1,4 +1,5 @@
-//! The operations a program asks of the host inside it: dry runs, earlier rows, events, removal with and without force.
+//! The operations a program asks of the host inside it: dry runs, earlier rows, events, removal with and
+//! without force.
 //!
 //! Promise: what the command line can ask, the program can, with the same refusals.
 

@@ -1,4 +1,5 @@
-//! The paper's Fig. 4, replayed: a `Server` with `Void`, `Write`, `Read` and events, a `Client` connected to it.
+//! The paper's Fig. 4, replayed: a `Server` with `Void`, `Write`, `Read` and events, a `Client` connected to
+//! it.
 //!
 //! Promise: what the figure shows can be done with grpcurl alone, without a proto file.
 

@@ -1,7 +1,7 @@
 //! Guests: shells and pages that take a place in the graph from outside, through GuestService.
 //!
-//! Promise: a guest, its required interfaces and its connections are seen by everybody like any others, disturb nobody, and go with its
-//! stream; so does a component that a caller holds.
+//! Promise: a guest, its required interfaces and its connections are seen by everybody like any others,
+//! disturb nobody, and go with its stream; so does a component that a caller holds.
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, Stream, World, eventually};

@@ -1,7 +1,7 @@
 //! Connections between processes as the control plane shows and keeps them.
 //!
-//! Promise: both halves are seen wherever the connection is, with why they are not linked; they go with it, and come back with what
-//! ended; whatever does not fit is refused before anything is made.
+//! Promise: both halves are seen wherever the connection is, with why they are not linked; they go with it,
+//! and come back with what ended; whatever does not fit is refused before anything is made.
 
 #[path = "links/away.rs"]
 mod away;

@@ -1,6 +1,7 @@
 //! A plugin in C++ that breaks the contract at run time, or says what a terminal would obey.
 //!
-//! Promise: what it answers is judged, what it says is shown and never obeyed, and the process stays as it was.
+//! Promise: what it answers is judged, what it says is shown and never obeyed, and the process stays as it
+//! was.
 
 mod arithmetic;
 mod forked;

@@ -1,7 +1,8 @@
 //! Where a component lives makes no difference to what it computes.
 //!
-//! Promise: one system file, only its `process` fields changed, gives the same results in one process and in three: every
-//! sample, frame, event and answer, in the same order, from plugins in Rust, in C++, and each talking to the other.
+//! Promise: one system file, only its `process` fields changed, gives the same results in one process and in
+//! three: every sample, frame, event and answer, in the same order, from plugins in Rust, in C++, and each
+//! talking to the other.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,8 +17,8 @@ const AT_ONCE: u64 = 10;
 /// How often a run is done again.
 const RUNS: usize = 4;
 
-/// Each name stands for a process and is replaced by it; each @ for the plugin of a class. Queues hold all there is, so that
-/// it does not matter how late anybody is.
+/// Each name stands for a process and is replaced by it; each @ for the plugin of a class. Queues hold all
+/// there is, so that it does not matter how late anybody is.
 const FILE: &str = r#"{
   "version": 1,
   "processes": { PROCESSES },
@@ -113,8 +114,8 @@ impl Running {
         format!("{process}/{component}")
     }
 
-    /// Asks, again where nobody answered: on a busy machine a process may be thought lost for a while. What is asked here
-    /// does no more when it is asked twice.
+    /// Asks, again where nobody answered: on a busy machine a process may be thought lost for a while. What
+    /// is asked here does no more when it is asked twice.
     fn ask(&self, method: &str, body: &Value) -> Value {
         eventually(&format!("{method} {body}"), || {
             let answer = self.grpc.call(method, body.clone());
@@ -151,8 +152,8 @@ impl Running {
         halves.iter().map(|half| half["epoch"].to_string()).collect()
     }
 
-    /// Lets everything happen at once, and waits until all of it has arrived. `None`: a connection was lost meanwhile, and what
-    /// was under way on it.
+    /// Lets everything happen at once, and waits until all of it has arrived. `None`: a connection was lost
+    /// meanwhile, and what was under way on it.
     fn results(&self) -> Option<Results> {
         let links = self.links();
         self.call(&format!("{}/feed/go", self.at("feed")), SAMPLES);
@@ -189,8 +190,8 @@ impl Running {
     }
 }
 
-/// A machine that gives a process no time for a third of a second makes its peers think it lost, and samples are, too. That is
-/// another promise's business: such a run is done again.
+/// A machine that gives a process no time for a third of a second makes its peers think it lost, and samples
+/// are, too. That is another promise's business: such a run is done again.
 fn run(places: Places, plugins: Plugins) -> Results {
     for _ in 0..RUNS {
         let mut running = Running::start(places, plugins);

@@ -1,7 +1,7 @@
 //! A system of several processes: `trocar up` starts them, keeps them, and takes them down.
 //!
-//! Promise: what crashes comes back, and what moves something then waits for somebody; what cannot come up is named; nothing
-//! outlives `up`, however that ends; losing the GCM stops nothing.
+//! Promise: what crashes comes back, and what moves something then waits for somebody; what cannot come up is
+//! named; nothing outlives `up`, however that ends; losing the GCM stops nothing.
 
 #[path = "processes/away.rs"]
 mod away;
@@ -356,7 +356,8 @@ fn a_process_killed_at_any_moment_of_its_start_comes_back_whole() {
                 Some(pid) if pid != last => Ok(pid),
                 other => Err(format!("{other:?}")),
             });
-        // Each look takes some microseconds: from the first instruction to long after it has all its components.
+        // Each look takes some microseconds: from the first instruction to long after it has all its
+        // components.
         let most = 1 << random.u32(1..18);
         for _ in 0..random.u32(0..most) {
             std::hint::black_box(gone(last));

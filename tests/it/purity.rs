@@ -1,7 +1,7 @@
 //! Ten thousand steps of every execution model, with everything a step may do.
 //!
-//! Promise: a thread that steps allocates nothing, calls nothing of the system inside a step, and between steps only its own
-//! sleep and its wakes.
+//! Promise: a thread that steps allocates nothing, calls nothing of the system inside a step, and between
+//! steps only its own sleep and its wakes.
 
 mod book;
 mod classes;
@@ -107,7 +107,8 @@ impl Scene {
     async fn runs_pure(self, what: &str, excused: Excused) -> Result<usize, HostError> {
         let (watch, waits) = (self.watch, format!("{STEPS} steps {what}"));
         let passed = tokio::task::spawn_blocking(move || {
-            // Who runs freely lets others run at each step: beside many it takes as long as they like, but it goes on.
+            // Who runs freely lets others run at each step: beside many it takes as long as they like, but it
+            // goes on.
             while !watch.is_done() {
                 let before = watch.steps();
                 eventually(&waits, || match watch.steps() {

@@ -1,7 +1,8 @@
-//! The real-time core as grpcurl sees it: rows, overruns, hangs, full queues, broken filters, every way to get a thread.
+//! The real-time core as grpcurl sees it: rows, overruns, hangs, full queues, broken filters, every way to
+//! get a thread.
 //!
-//! Promise: the host's figures are those that the components wrote down themselves; nothing is judged by how long it took,
-//! but by what came before what.
+//! Promise: the host's figures are those that the components wrote down themselves; nothing is judged by how
+//! long it took, but by what came before what.
 
 mod counted;
 mod made_for;

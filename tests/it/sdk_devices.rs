@@ -1,6 +1,8 @@
-//! Devices as an SDK author writes them, in a real host: one that hangs, one that calls back, and coordinates of ports.
+//! Devices as an SDK author writes them, in a real host: one that hangs, one that calls back, and coordinates
+//! of ports.
 //!
-//! Promise: what hangs is made safe without anybody touching it; a callback never waits; coordinates must agree.
+//! Promise: what hangs is made safe without anybody touching it; a callback never waits; coordinates must
+//! agree.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
@@ -88,7 +90,8 @@ struct Device {
 
 #[provides("ctl")]
 impl Device {
-    /// Calls out of callbacks that were answered WOULD_BLOCK, and the same ones outside of a callback that were executed.
+    /// Calls out of callbacks that were answered WOULD_BLOCK, and the same ones outside of a callback that
+    /// were executed.
     #[command]
     fn answers(&mut self) -> [u64; 2] {
         let answers = self.answers.load(Ordering::SeqCst);

@@ -1,6 +1,7 @@
 //! Slices of a frame and services as an SDK author uses them, in a real host.
 //!
-//! Promise: `execution.threads` is all a filter needs to work on several threads, and a component builds a system.
+//! Promise: `execution.threads` is all a filter needs to work on several threads, and a component builds a
+//! system.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;

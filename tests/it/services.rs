@@ -1,7 +1,7 @@
 //! Dynamic component services: a component builds, changes and takes apart the system it is part of.
 //!
-//! Promise: what a component asks for is what grpcurl would have asked for; it never waits, may stop or remove itself, is
-//! refused from `step`, and hears of every request but those it is no longer there for.
+//! Promise: what a component asks for is what grpcurl would have asked for; it never waits, may stop or
+//! remove itself, is refused from `step`, and hears of every request but those it is no longer there for.
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, World, eventually, number};

@@ -21,7 +21,8 @@ impl Built {
         from_env("TROCAR_BIN_DIR")
     }
 
-    /// A plugin of `plugins/` or a Rust fixture, by the name of its library: `eyerobot` is `libtrocar_eyerobot.so`.
+    /// A plugin of `plugins/` or a Rust fixture, by the name of its library: `eyerobot` is
+    /// `libtrocar_eyerobot.so`.
     #[must_use]
     pub fn plugin(name: &str) -> PathBuf {
         present(Self::dir().join(format!("libtrocar_{name}.so")))

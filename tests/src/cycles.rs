@@ -1,8 +1,9 @@
-//! Whether something makes a 1 kHz component miss cycles, judged against the same component in another process at the same
-//! time, one on each processor.
+//! Whether something makes a 1 kHz component miss cycles, judged against the same component in another
+//! process at the same time, one on each processor.
 //!
-//! Invariant: counters only, no clock; all rounds count together, so that a good one excuses no bad one. What the machine takes
-//! away it takes away from the control, too; what is missed beyond that is the host's doing.
+//! Invariant: counters only, no clock; all rounds count together, so that a good one excuses no bad one. What
+//! the machine takes away it takes away from the control, too; what is missed beyond that is the host's
+//! doing.
 
 use std::thread;
 
@@ -45,7 +46,8 @@ impl Count {
 }
 
 impl Bystander {
-    /// Creates and starts a `sine` as `host/NAME`, with a real-time priority where the machine grants one; and the control.
+    /// Creates and starts a `sine` as `host/NAME`, with a real-time priority where the machine grants one;
+    /// and the control.
     #[must_use]
     pub fn start(grpc: &Grpcurl, name: &str) -> Self {
         let start = |grpc: &Grpcurl, path: &str, cpus: Vec<usize>| {
@@ -65,8 +67,8 @@ impl Bystander {
         Self { grpc: grpc.clone(), path, control, controls, _host: host, _world: world }
     }
 
-    /// Does something, and again if need be, and checks that all in all no more cycles were missed meanwhile than on all
-    /// processors together by the control, apart from one in a thousand.
+    /// Does something, and again if need be, and checks that all in all no more cycles were missed meanwhile
+    /// than on all processors together by the control, apart from one in a thousand.
     ///
     /// # Panics
     /// When that is so after no round, with the counts of all rounds.

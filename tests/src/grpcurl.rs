@@ -1,6 +1,7 @@
 //! Real grpcurl against a served address, with no proto file: it learns everything from reflection.
 //!
-//! Invariant: an error is read from what grpcurl prints and from its exit code (64 + the gRPC code), as a script would.
+//! Invariant: an error is read from what grpcurl prints and from its exit code (64 + the gRPC code), as a
+//! script would.
 
 use std::collections::VecDeque;
 use std::fmt;

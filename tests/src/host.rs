@@ -1,7 +1,7 @@
 //! A built `trocar` process that serves: host, gcm, run or demo.
 //!
-//! Invariant: it listens on a port the kernel chose, it is killed by its handle when dropped, and what it printed is shown
-//! when its test fails.
+//! Invariant: it listens on a port the kernel chose, it is killed by its handle when dropped, and what it
+//! printed is shown when its test fails.
 
 use std::ffi::OsString;
 use std::fs::{self, File};

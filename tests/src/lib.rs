@@ -1,7 +1,8 @@
-//! The harness of the outer tests: built hosts as child processes, real grpcurl, a world of its own for each test.
+//! The harness of the outer tests: built hosts as child processes, real grpcurl, a world of its own for each
+//! test.
 //!
-//! Invariant: a test owns all it touches (port 0, temporary directories, children killed by their handle) and waits only
-//! through [`eventually`].
+//! Invariant: a test owns all it touches (port 0, temporary directories, children killed by their handle) and
+//! waits only through [`eventually`].
 #![forbid(unsafe_code)]
 
 mod advice;

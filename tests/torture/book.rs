@@ -1,6 +1,7 @@
 //! What a row found: one line per claim, each with what was allowed and what was seen.
 //!
-//! Invariant: a line that does not hold makes its row fail; a row without a single line has shown nothing, and fails.
+//! Invariant: a line that does not hold makes its row fail; a row without a single line has shown nothing,
+//! and fails.
 
 /// Everything one row claims.
 pub(crate) struct Book {
@@ -33,8 +34,8 @@ pub(crate) struct Line {
     pub(crate) counts: Option<Counts>,
 }
 
-/// What was counted here, in the control run, and what is allowed beyond that. Of two runs both are judged together: the
-/// machine takes from either, and of few the least hiccup is many.
+/// What was counted here, in the control run, and what is allowed beyond that. Of two runs both are judged
+/// together: the machine takes from either, and of few the least hiccup is many.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Counts {
     pub(crate) seen: u64,
@@ -89,8 +90,8 @@ impl Book {
         !self.lines.is_empty() && !self.holds() && self.failing().all(|line| line.counts.is_some())
     }
 
-    /// Judges what both runs counted together, all of an earlier run that was counted and not what failed alone. A claim that
-    /// this run did not make fails.
+    /// Judges what both runs counted together, all of an earlier run that was counted and not what failed
+    /// alone. A claim that this run did not make fails.
     pub(crate) fn with_counts_of(&mut self, before: &Book) {
         for line in &before.lines {
             let Some(earlier) = line.counts else { continue };
@@ -115,7 +116,8 @@ impl Book {
         self.lines.iter().filter(|line| !line.holds && self.judges(line))
     }
 
-    /// Each time in ms is within `bound_ms` and the lateness, in ms, that the machine itself showed at that moment.
+    /// Each time in ms is within `bound_ms` and the lateness, in ms, that the machine itself showed at that
+    /// moment.
     pub(crate) fn times(&mut self, what: &str, seen: &[Timed], bound_ms: f64) {
         let ms = sorted(seen.iter().map(|t| t.ms));
         let late = sorted(seen.iter().map(|t| t.late_ms));
@@ -209,7 +211,8 @@ impl Book {
         });
     }
 
-    /// Something that is so, or the reason why it is not. Claimed again, it is the same claim, tried more often.
+    /// Something that is so, or the reason why it is not. Claimed again, it is the same claim, tried more
+    /// often.
     pub(crate) fn check(&mut self, what: &str, tried: usize, is: Result<(), String>) {
         if let Some(known) = self.lines.iter_mut().find(|line| line.what == what && line.bound == "holds") {
             known.count += tried;

@@ -1,6 +1,8 @@
-//! A component at 1 kHz beside which something is done, and its like in a process of their own, one on each processor.
+//! A component at 1 kHz beside which something is done, and its like in a process of their own, one on each
+//! processor.
 //!
-//! Invariant: counters only: what the machine takes away it takes from the others, too; what is missed beyond that was done to it.
+//! Invariant: counters only: what the machine takes away it takes from the others, too; what is missed beyond
+//! that was done to it.
 
 use serde_json::json;
 use trocar_proto::v1::Execution;

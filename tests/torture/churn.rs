@@ -1,6 +1,7 @@
 //! Somebody who connects and disconnects all the time, whatever becomes of the ends.
 //!
-//! Invariant: a refusal is an answer like any other; what counts is that there is one, and that nothing stays behind.
+//! Invariant: a refusal is an answer like any other; what counts is that there is one, and that nothing stays
+//! behind.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,6 +1,7 @@
 //! The host's clock, and a witness of how late this machine is right now.
 //!
-//! Invariant: the witness does nothing but sleep until the next millisecond, so what it is late is the machine's doing.
+//! Invariant: the witness does nothing but sleep until the next millisecond, so what it is late is the
+//! machine's doing.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -68,7 +69,8 @@ const PERIOD: Duration = Duration::from_millis(1);
 /// A sample goes through two threads at least, each of which may be as late.
 const THREADS: f64 = 2.0;
 
-/// Threads, one on each processor, that sleep from one millisecond to the next and note by how much they are late.
+/// Threads, one on each processor, that sleep from one millisecond to the next and note by how much they are
+/// late.
 pub(crate) struct Witness {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
@@ -140,7 +142,8 @@ impl Witness {
         THREADS * self.shared.worst_ns[since as usize].load(Ordering::Relaxed) as f64 / 1e6
     }
 
-    /// A time between two moments, beside the lateness seen since `forget` or that of the control run, whichever is larger.
+    /// A time between two moments, beside the lateness seen since `forget` or that of the control run,
+    /// whichever is larger.
     pub(crate) fn timed(&self, from_ns: u64, to_ns: u64, control_ms: f64) -> Timed {
         Timed { ms: to_ns.saturating_sub(from_ns) as f64 / 1e6, late_ms: self.late_ms().max(control_ms) }
     }

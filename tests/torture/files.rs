@@ -35,7 +35,8 @@ pub(crate) fn below(dir: &Path) -> BTreeSet<PathBuf> {
     found
 }
 
-/// No process whose output lies in this directory, or in that of `up`, has said that; at least one has said something.
+/// No process whose output lies in this directory, or in that of `up`, has said that; at least one has said
+/// something.
 pub(crate) fn nowhere_in(dir: &Path, words: &str) -> Result<(), String> {
     let printed =
         |file: &PathBuf| file.extension().is_some_and(|e| ["out", "err", "log"].iter().any(|x| e == *x));

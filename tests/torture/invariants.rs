@@ -35,7 +35,8 @@ impl Desired {
     }
 }
 
-/// G3: what was asked for is what the GCM sees and what each process has; both ends of each connection carry it.
+/// G3: what was asked for is what the GCM sees and what each process has; both ends of each connection carry
+/// it.
 pub(crate) fn agree(rpc: &Rpc, desired: &Desired) -> Result<(), String> {
     eventually("desired, observed and actual agree", || {
         let list = rpc.list()?;

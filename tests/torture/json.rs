@@ -1,6 +1,7 @@
 //! JSON to `google.protobuf.Value` and back.
 //!
-//! Invariant: a whole number beyond 2^53 travels as text, since numbers are doubles there; [`number`] reads both.
+//! Invariant: a whole number beyond 2^53 travels as text, since numbers are doubles there; [`number`] reads
+//! both.
 
 use prost_types::value::Kind;
 use prost_types::{ListValue, Struct, Value as Wire};

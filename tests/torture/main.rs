@@ -1,7 +1,7 @@
 //! Faults on real processes: `torture [--seed N] [--gate | --times | --full] [--json] [--list] [ROW…]`.
 //!
-//! Invariant: a row passes only by what was seen; each bound in time is widened by the lateness of a control run on the same
-//! machine, and by nothing else; with `--gate` none is judged. What was not run is said.
+//! Invariant: a row passes only by what was seen; each bound in time is widened by the lateness of a control
+//! run on the same machine, and by nothing else; with `--gate` none is judged. What was not run is said.
 #![forbid(unsafe_code)]
 
 mod asking;

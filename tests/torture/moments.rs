@@ -1,7 +1,7 @@
 //! One fault at one moment, and everything that must follow from it on the side that lives on.
 //!
-//! Invariant: times come from the clocks of those who were there (books, samples), not from when they were asked; only what the GCM
-//! lists is timed by asking.
+//! Invariant: times come from the clocks of those who were there (books, samples), not from when they were
+//! asked; only what the GCM lists is timed by asking.
 
 use std::time::Duration;
 
@@ -35,20 +35,22 @@ impl Fault {
 
 /// Longest until data flows again, ms.
 const FLOWS: f64 = 1000.0;
-/// Distance of two signs of life to the GCM, the longest anything here goes by, µs: a moment may be anywhere in it.
+/// Distance of two signs of life to the GCM, the longest anything here goes by, µs: a moment may be anywhere
+/// in it.
 const BEAT_US: u64 = 100_000;
 /// Lines of what was printed that are shown beside a moment which took too long.
 const TELLS: usize = 25;
 /// Shortest and longest time a process stands still, ms.
 const STANDS: (u64, u64) = (150, 800);
-/// Longest until an actuator is made safe by the host when its peer stands still, ms: three heartbeats of 10 ms, one that has just
-/// come, and a look of the watchdog. The actuator itself sees its stale input before.
+/// Longest until an actuator is made safe by the host when its peer stands still, ms: three heartbeats of 10
+/// ms, one that has just come, and a look of the watchdog. The actuator itself sees its stale input before.
 const STILL: f64 = 30.0 + 10.0 + PERIOD;
 
 /// Longest until an actuator sees that its input is stale, ms: its next step.
 const STALE: f64 = MAX_AGE as f64 + PERIOD;
 
-/// Everything one end has of the other: what flows, who takes it, the command that has it count anew, its books.
+/// Everything one end has of the other: what flows, who takes it, the command that has it count anew, its
+/// books.
 const STREAMS: [(&str, &str, &str, &str); 4] = [
     ("samples", "sink", "ctl/mark", "books"),
     ("frames", "screen", "ctl/mark", "books"),
@@ -206,7 +208,8 @@ impl<'a> Trial<'a> {
         }
     }
 
-    /// Lets it stand a while longer; then all flows again at both ends, and the one that lived on is given nothing from before.
+    /// Lets it stand a while longer; then all flows again at both ends, and the one that lived on is given
+    /// nothing from before.
     fn goes_on(
         &mut self,
         pid: u32,
@@ -232,8 +235,8 @@ impl<'a> Trial<'a> {
         Ok(())
     }
 
-    /// Waits until one end has been given everything again after a moment, by the time its books have under that name; answers the
-    /// age of the oldest it was given since it was marked, ns.
+    /// Waits until one end has been given everything again after a moment, by the time its books have under
+    /// that name; answers the age of the oldest it was given since it was marked, ns.
     fn flows_again(&mut self, (end, port): (&str, &Rpc), first: &str, after: u64) -> Result<u64, String> {
         let mut oldest = 0;
         for (at, (what, taker, _, key)) in STREAMS.into_iter().enumerate() {
@@ -322,7 +325,8 @@ impl<'a> Trial<'a> {
         if !safe.is_empty() {
             book.times("the actuator is safe", safe, STALE);
         }
-        // Whoever ends is often noticed before that; whoever stands still is not, so there it must have been seen.
+        // Whoever ends is often noticed before that; whoever stands still is not, so there it must have been
+        // seen.
         if !stale.is_empty() || !safe_of_still.is_empty() {
             book.times("the actuator sees that its input is stale", stale, STALE);
         }

@@ -1,7 +1,7 @@
 //! A `trocar` process: host, gcm or up, its output in files.
 //!
-//! Invariant: it is signalled by the number of a child that was not yet waited for, so the number is nobody else's; when dropped
-//! it is killed and waited for.
+//! Invariant: it is signalled by the number of a child that was not yet waited for, so the number is nobody
+//! else's; when dropped it is killed and waited for.
 
 use std::fs::{self, File};
 use std::path::PathBuf;

@@ -1,4 +1,5 @@
-//! The system most rows about processes use: `a` and `b` need each other in every way, `c` and `d` have nothing to do with them.
+//! The system most rows about processes use: `a` and `b` need each other in every way, `c` and `d` have
+//! nothing to do with them.
 //!
 //! Invariant: everything `a` has of `b`, `b` has of `a`, so that either may be the one that is harmed.
 
@@ -19,7 +20,8 @@ pub(crate) const MAX_AGE: u64 = 20;
 /// Period of the arms, ms.
 pub(crate) const PERIOD: f64 = 1.0;
 
-/// Frames, and samples at the highest rate, that may wait: what a machine that stands still for a moment makes late is not lost.
+/// Frames, and samples at the highest rate, that may wait: what a machine that stands still for a moment
+/// makes late is not lost.
 const FRAMES: u32 = 8;
 const SAMPLES: u32 = 4096;
 

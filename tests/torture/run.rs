@@ -70,8 +70,8 @@ impl Run {
         fastrand::Rng::with_seed(self.seed ^ hasher.finish())
     }
 
-    /// Carries a row out; once more when it failed while the machine itself stood still, and when it failed only in what is
-    /// counted beside a control run: then both runs are judged together. Either is told.
+    /// Carries a row out; once more when it failed while the machine itself stood still, and when it failed
+    /// only in what is counted beside a control run: then both runs are judged together. Either is told.
     pub(crate) fn row(&self, row: &Row) -> Book {
         let (mut attempt, mut counted, mut before) = (1, None::<Book>, Vec::<String>::new());
         loop {

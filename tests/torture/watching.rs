@@ -1,7 +1,7 @@
 //! How often Watch tells of one component that it overruns.
 //!
-//! Invariant: every message counts that says so, whatever changed in it; but for one that follows UNRESPONSIVE: the component is
-//! back in the overrun that was told before.
+//! Invariant: every message counts that says so, whatever changed in it; but for one that follows
+//! UNRESPONSIVE: the component is back in the overrun that was told before.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

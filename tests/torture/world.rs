@@ -1,6 +1,7 @@
 //! A row's own directories, with copies of the plugins it uses; gone with it.
 //!
-//! Invariant: every process of a row names this directory in its command line, so whoever is left of it can be found.
+//! Invariant: every process of a row names this directory in its command line, so whoever is left of it can
+//! be found.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

@@ -1,7 +1,9 @@
-//! What the thread sanitizer must report, and what it must not: the check of the tool itself, before the suite is believed.
+//! What the thread sanitizer must report, and what it must not: the check of the tool itself, before the
+//! suite is believed.
 //!
-//! Invariant: one case per process, named by the argument; without one all are listed, each with `race` or `order` before it.
-//! The races are there on purpose, beside edges that must not be mistaken for the missing one.
+//! Invariant: one case per process, named by the argument; without one all are listed, each with `race` or
+//! `order` before it. The races are there on purpose, beside edges that must not be mistaken for the missing
+//! one.
 #![allow(clippy::unwrap_used)]
 
 use std::cell::UnsafeCell;
@@ -23,7 +25,8 @@ impl Bare {
     }
 
     fn add(&self) -> u64 {
-        // SAFETY: in the cases of order nobody else is here; in the others that is the very thing the sanitizer must deny.
+        // SAFETY: in the cases of order nobody else is here; in the others that is the very thing the
+        // sanitizer must deny.
         unsafe {
             *self.0.get() += 1;
             *self.0.get()

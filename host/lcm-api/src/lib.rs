@@ -1,7 +1,8 @@
-//! What a GCM can ask of a Local Component Manager, in its own process or through an Attach stream.
+//! The calls a GCM makes to a Local Component Manager, in its own process or through an Attach stream.
 //!
-//! Invariant: every call ends by its deadline, whatever a component does; a refused or failed change leaves nothing half made. Nothing here
-//! does anything: whoever asks an LCM depends on this alone, and not on how one is made.
+//! Invariant: every call ends by its deadline, whatever a component does; a refused or failed change leaves
+//! nothing half made. This crate implements nothing: a caller of an LCM depends on this crate alone, not on
+//! how an LCM is made.
 #![forbid(unsafe_code)]
 
 use std::sync::Arc;
@@ -19,28 +20,30 @@ use trocar_model::{
 /// The owner of one process's components.
 #[async_trait]
 pub trait Lcm: Send + Sync {
-    /// Carries out one change and answers how the component stands afterwards (for a connection: the client's).
+    /// Carries out one change and returns the resulting state of the component (for a connection: of the
+    /// client).
     ///
     /// # Errors
-    /// ComponentRefused, ComponentFault, the plugin refusals, LcmTimeout; the change is then undone as far as it got.
+    /// ComponentRefused, ComponentFault, the plugin refusals, LcmTimeout; the change is then undone as far as
+    /// it got.
     async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal>;
 
     /// Makes the half of a connection to another process; for a client, linked to the other one.
     ///
     /// # Errors
-    /// Unreachable, with what keeps the two apart; then there is no half.
+    /// Unreachable, with the reason; then there is no half.
     async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal>;
 
     /// Calls a command. Reads are answered from the published state row.
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal>;
 
-    /// Reads without a command: a state row of a component, or the newest sample of an output; with `frame` the bytes of
-    /// a frame, too.
+    /// Reads without a command: a state row of a component, or the newest sample of an output; with `frame`
+    /// the bytes of a frame, too.
     async fn read(&self, path: String, when: When, frame: bool, deadline: Instant)
     -> Result<Sample, Refusal>;
 
-    /// Follows events, component states and outputs until the receiver is dropped. Slow receivers lose items, counted
-    /// in the next item's `skipped`.
+    /// Follows events, component states and outputs until the receiver is dropped. A slow receiver loses
+    /// items, counted in the next item's `skipped`.
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal>;
 
     /// Live figures of one component.
@@ -49,9 +52,9 @@ pub trait Lcm: Send + Sync {
     /// Figures of every connection that ends in this process.
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal>;
 
-    /// Lets components whose phase nobody asked for step at these places in their periods, and others at 0;
-    /// nothing: leaves them where they are. Answers what the steps of components take that have run long enough to
-    /// tell. No component is waited for.
+    /// Sets the phases of components whose phase was not asked for: to the given ones, of the others to 0;
+    /// `None` leaves all as they are. Returns the step times of components that have run long enough to tell.
+    /// Waits for no component.
     async fn phases(
         &self,
         _given: Option<Vec<(ComponentId, Phase)>>,
@@ -60,23 +63,23 @@ pub trait Lcm: Send + Sync {
         Ok(StepTimes::new())
     }
 
-    /// The plugins its directories hold, refused ones too.
+    /// Lists the plugins in the directories of this process, refused ones too.
     async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal>;
 
-    /// Looks at plugin files again, those of this name or all and lists them. Where there are no plugin directories,
-    /// nothing is looked at.
+    /// Looks again at the plugin files of this name (empty: at all of them) and lists them. Without plugin
+    /// directories, nothing is looked at.
     async fn recheck(&self, name: &str, _deadline: Instant) -> Result<Vec<PluginInfo>, Refusal> {
         Ok(self.plugins().await?.into_iter().filter(|plugin| plugin.is_called(name)).collect())
     }
 
-    /// Everything it has: sent at registration and after a gap in the news.
+    /// Everything this process has: sent at registration and after a gap in the news.
     async fn inventory(&self) -> Result<Inventory, Refusal>;
 
-    /// What changes by itself; a lagging receiver asks for the inventory again.
+    /// Changes that happen without a request; a lagging receiver asks for the inventory again.
     fn news(&self) -> broadcast::Receiver<News>;
 }
 
-/// A connection of which one end is in this process, and what has to be known of the other one.
+/// A connection with one end in this process, and the facts needed about the other end.
 #[derive(Clone, Debug)]
 pub struct FarEnd {
     pub connection: Connection,
@@ -90,27 +93,28 @@ pub struct FarEnd {
 /// The class of a component.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ClassOf {
-    /// `plugin/class`; empty where nobody told it.
+    /// `plugin/class`; empty where unknown.
     pub name: String,
-    /// Of the plugin file, as in [`trocar_model::ClassInfo`].
+    /// Hash of the plugin file, as in [`trocar_model::ClassInfo`].
     pub hash: String,
 }
 
-/// How a component stands.
+/// State of one component.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     pub id: ComponentId,
-    /// Counts up within a run of the process: a higher one was looked up later. 0: nobody counted.
+    /// Counts up within a run of the process: a higher number was looked up later. 0: not counted.
     pub number: u64,
     pub state: State,
     pub health: Health,
-    /// Why it is in FAULT; empty otherwise.
+    /// Reason of the FAULT; empty otherwise.
     pub fault: String,
     /// Present when the ports may have changed.
     pub ports: Option<Arc<Ports>>,
-    /// Connections the LCM cut because a port they ended in went, by number.
+    /// Numbers of connections the LCM cut because one of their ports is gone.
     pub lost_connections: Vec<u64>,
-    /// Sentences for the caller, e.g. a real-time setting the machine refused; in the answer to a change only new ones.
+    /// Sentences for the caller, e.g. a real-time setting the machine refused; the answer to a change has
+    /// only new ones.
     pub warnings: Vec<String>,
 }
 
@@ -121,11 +125,11 @@ pub enum News {
     Catalog(Vec<Arc<ClassInfo>>),
     Log(LogLine),
     Half(HalfReport),
-    /// The process itself is warned of this now, instead of what it was before.
+    /// Warnings of the process itself; they replace the earlier ones.
     Warnings(Warnings),
 }
 
-/// How the half of a connection to another process stands.
+/// State of the half of a connection to another process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfReport {
     pub connection: u64,
@@ -136,7 +140,7 @@ pub struct HalfReport {
 
 #[derive(Clone, Debug, Default)]
 pub struct Inventory {
-    /// How other processes reach this one; `None`: not at all.
+    /// Way for other processes to reach this one; `None`: there is none.
     pub card: Option<Card>,
     pub components: Vec<Report>,
     pub classes: Vec<Arc<ClassInfo>>,
@@ -213,7 +217,7 @@ pub struct Sample {
     pub seq: u64,
     /// Bytes of the frame behind the header; 0 for plain samples.
     pub frame_bytes: u64,
-    /// Those bytes, where they were asked for.
+    /// Bytes of the frame, if the caller asked for them.
     pub frame: Vec<u8>,
 }
 
@@ -270,19 +274,19 @@ pub struct Detail {
     /// Compute time over period, 0–1.
     pub load: f64,
     pub commands: u64,
-    /// Commands lost: not taken by a full queue, given up for newer ones, or only sent and not run before their connection
-    /// was cut.
+    /// Lost commands: refused by a full queue, given up for newer ones, or only sent and not run before their
+    /// connection was cut.
     pub commands_rejected: u64,
     /// Events lost in its handlers' full queues.
     pub events_dropped: u64,
-    /// Where it runs: "own thread", "stream of host/source", "callers' threads".
+    /// Place where it runs: "own thread", "stream of host/source", "callers' threads".
     pub thread: String,
     /// True when SCHED_FIFO was granted.
     pub realtime: bool,
     pub warnings: Vec<String>,
     /// Offset of its grid from the multiples of the period, ns; `None` without a grid of its own.
     pub phase_ns: Option<u64>,
-    /// Nobody asked for that phase.
+    /// True when that phase was not asked for.
     pub phase_auto: bool,
 }
 
@@ -291,14 +295,14 @@ pub struct LinkDetail {
     pub connection: u64,
     /// "inline", "heap", "memfd".
     pub carrier: String,
-    /// How each end is told that something has come for it, "signal" or "poll"; empty where nobody is.
+    /// Wake of each end when data or calls arrive: "signal" or "poll"; empty where no thread is woken.
     pub client_wake: &'static str,
     pub server_wake: &'static str,
     pub passed: u64,
-    /// Lost in a full queue or for lack of frames; those in `rejected` too.
+    /// Lost in a full queue or for lack of frames; includes `rejected`.
     pub dropped: u64,
-    /// Samples a newer one took the place of where only the newest is taken, and commands that a newer one of
-    /// their kind superseded: no loss, and none of `dropped`.
+    /// Samples replaced by a newer one where only the newest is taken, and commands superseded by a newer one
+    /// of their kind: no loss, and not part of `dropped`.
     pub skipped: u64,
     /// Commands and events a full queue did not take.
     pub rejected: u64,
@@ -308,13 +312,15 @@ pub struct LinkDetail {
     pub high_water: u64,
     /// Commands that were only sent, ran and failed.
     pub failed: u64,
-    /// Commands that were only sent, and events, that were taken and never ran: Stop, Disconnect, Remove.
+    /// Commands that were only sent, and events, that were taken and never ran because of Stop, Disconnect or
+    /// Remove.
     pub unexecuted: u64,
     pub bytes: u64,
     /// Age of a sample when the client took it.
     pub latency_p50_ns: u64,
     pub latency_p99_ns: u64,
-    /// Of a connection to another process: the half these are the figures of, or both once they are merged.
+    /// For a connection to another process: the half these figures belong to, or both halves once they are
+    /// merged.
     pub halves: Vec<(End, Proxy)>,
 }
 
@@ -338,12 +344,13 @@ impl LinkDetail {
         }
     }
 
-    /// What the halves of a connection between processes know of it together. What both see (the queues they share) counts once;
-    /// commands and events that never ran wait at different ends.
+    /// Merges the figures of both halves of a connection between processes. Figures that both see (the queues
+    /// they share) count once; commands and events that never ran wait at different ends.
     pub fn merged(mut self, other: LinkDetail) -> LinkDetail {
         self.halves.extend(other.halves);
         self.halves.sort_by_key(|(end, _)| *end);
-        // Each half has read both at one time: of the later one, so that they belong together.
+        // Each half has read both figures at one time: take both from the later one, so that they belong
+        // together.
         let (bytes, passed) = (self.bytes, self.passed).max((other.bytes, other.passed));
         LinkDetail {
             connection: self.connection,
@@ -386,7 +393,7 @@ pub struct PluginInfo {
 }
 
 impl PluginInfo {
-    /// It is the plugin, or the file, of this name; every one where the name is empty.
+    /// Tells whether this is the plugin, or the file, of this name; an empty name matches every plugin.
     pub fn is_called(&self, name: &str) -> bool {
         name.is_empty() || self.name == name || self.file.rsplit('/').next() == Some(name)
     }

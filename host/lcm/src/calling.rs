@@ -1,7 +1,8 @@
-//! Commands and reads called from outside: the argument checked, the way to the command, the outcome in words.
+//! Commands and reads called from outside: the argument checked, the way to the command, the outcome in
+//! words.
 //!
-//! Invariant: no plugin code runs on the caller's own thread, and every call ends by its deadline and a moment, whatever the
-//! component does.
+//! Invariant: no plugin code runs on the caller's own thread, and every call ends shortly after its deadline
+//! at the latest, whatever the component does.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,7 +23,7 @@ use super::instance::Instance;
 use super::outside::{misfit, wrong_kind};
 use super::reading::{self, Asked};
 
-/// So long after its deadline a call from outside that still runs is left alone.
+/// Time after its deadline at which a call from outside that still runs is left alone.
 pub(super) const GRACE: Duration = Duration::from_millis(50);
 
 /// Carries out one call; reads are answered from the published row.
@@ -34,8 +35,8 @@ pub(super) async fn invoke(instance: Arc<Instance>, call: Invoke) -> Result<Repl
     invoke_by(instance, call, set).await
 }
 
-/// As `invoke`, by ports that were looked up already. Where others took their place before anything was queued, nothing was
-/// executed: it looks again, within the deadline of the whole call.
+/// As `invoke`, by ports that were looked up already. If other ports replaced them before anything was
+/// queued, nothing was executed: it looks again, within the deadline of the whole call.
 pub(super) async fn invoke_by(
     instance: Arc<Instance>,
     call: Invoke,
@@ -58,7 +59,7 @@ pub(super) async fn invoke_by(
     }
 }
 
-/// One way to the command, by the ports of `set`.
+/// Makes one attempt to call the command, by the ports of `set`.
 async fn attempt(
     instance: &Arc<Instance>,
     call: &Invoke,
@@ -73,10 +74,10 @@ async fn attempt(
     let target = connect::target(instance, set, id, &set.external, id, deadline_ns);
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match target {
-        // What is provided here leads nowhere else.
+        // A command provided here leads nowhere else.
         FnBinding::Unbound | FnBinding::FarCommand(_) | FnBinding::FarRead(_) => Answer::unbound(),
         FnBinding::Read(read) => match read.from {
-            // The host's own code, which never waits: answered here.
+            // This read is the host's own code, which never waits: answered here.
             Reader::System(_) => read.answer(&arg, ret_bytes),
             Reader::Class(_) => {
                 let member = member.clone();
@@ -86,7 +87,7 @@ async fn attempt(
         FnBinding::Command(command) => {
             let calling =
                 tokio::task::spawn_blocking(move || command.answer(&arg, ret_bytes, send, deadline_ns));
-            // What is queued ends by itself. What runs in this call's own thread may not.
+            // A queued call ends by itself. A call that runs in its own thread may not.
             let patience = Duration::from_nanos(deadline_ns).saturating_add(GRACE);
             match tokio::time::timeout(patience, calling).await {
                 Ok(answer) => answer
@@ -172,7 +173,7 @@ fn find_command(ports: &Ports, member: &MemberId) -> Result<(usize, Command), Re
     }
 }
 
-/// The argument as exact bytes of the command's type, within its declared range.
+/// Returns the argument as exact bytes of the command's type, within its declared range.
 fn argument(member: &MemberId, command: &Command, given: &Payload) -> Result<Vec<u8>, Refusal> {
     let invalid =
         |why: String| Refusal::ArgumentInvalid { what: member.to_string(), why, field: "json".into() };

@@ -1,6 +1,6 @@
-//! Where component classes come from: plugin files, or classes linked into the executable.
+//! Sources of component classes: plugin files, or classes linked into the executable.
 //!
-//! Invariant: what is loaded is what was listed, by the hash of its file.
+//! Invariant: the loaded file is the listed one, by its hash.
 
 use std::sync::Arc;
 
@@ -17,16 +17,18 @@ pub trait Classes: Send + Sync {
     /// Makes the class's code callable. Blocks; never on a real-time thread.
     ///
     /// # Errors
-    /// PluginAbi, PluginUntrusted, PluginBadFile; ClassNotFound when the file has gone or changed since it was listed.
+    /// PluginAbi, PluginUntrusted, PluginBadFile; ClassNotFound when the file has gone or changed since it
+    /// was listed.
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal>;
 
-    /// The class `plugin/class` of the file with this hash, if its code is in this process already; nothing is loaded for it.
+    /// The class `plugin/class` of the file with this hash, if its code is in this process already; loads
+    /// nothing.
     fn present(&self, _name: &str, _hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
         None
     }
 
-    /// Looks again at the files of this plugin's or file's name, at all where it is empty, as if nothing was
-    /// known of them. Blocks for as long as trying them takes; what is loaded stays.
+    /// Looks again at the files of this plugin or file name (empty: at all files), as if nothing was known of
+    /// them. Blocks for as long as trying them takes; loaded classes stay.
     fn recheck(&self, _name: &str) {}
 
     /// The files behind the classes, refused ones too.

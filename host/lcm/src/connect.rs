@@ -1,7 +1,7 @@
-//! One connection of which both ends are in this process, whatever carries it.
+//! One connection with both ends in this process, whatever carries it.
 //!
-//! Invariant: what binds to what was decided by `model::bindings`; here it is only done. Every wire can be cut at any
-//! moment: callers inside finish on the old binding, later ones see UNBOUND.
+//! Invariant: `model::bindings` decides which members are bound; this file only carries it out. Every wire
+//! can be cut at any moment: callers inside finish on the old binding, later ones see UNBOUND.
 
 use std::sync::Arc;
 
@@ -20,9 +20,9 @@ use super::far::Here;
 use super::inbox::Inbox;
 use super::instance::Instance;
 
-/// Commands or events one connection may have waiting.
+/// Most commands or events that may wait in one connection.
 pub(super) const MAILBOX_DEPTH: usize = 64;
-/// Blocking calls one connection may have under way at once.
+/// Most blocking calls of one connection that may be under way at once.
 pub(super) const REPLY_CELLS: usize = 8;
 
 /// One connection of this process.
@@ -32,17 +32,18 @@ pub(super) struct Wired {
     pub(super) client_port: Name,
     pub(super) server: Arc<Instance>,
     pub(super) server_port: Name,
-    /// The client cannot do without it.
+    /// True when the client cannot do without it.
     pub(super) required: bool,
     options: ConnectOptions,
     joined: Box<dyn Joined>,
 }
 
 impl Wired {
-    /// Wires up what the plan decided.
+    /// Wires up the connection as the plan decided.
     ///
     /// # Errors
-    /// The mismatch refusals of `model::bindings`, should the ports have changed since the plan, and what its carrier refuses.
+    /// The mismatch refusals of `model::bindings`, should the ports have changed since the plan, and the
+    /// refusals of its carrier.
     pub(super) fn connect(
         carriers: &Carriers,
         connection: &Connection,
@@ -69,8 +70,8 @@ impl Wired {
         })
     }
 
-    /// True for interfaces whose descriptions now would be wired just as they are: same functions to same commands, same
-    /// events to same handlers.
+    /// True for interfaces whose present descriptions would be wired just as they are: same functions to same
+    /// commands, same events to same handlers.
     pub(super) fn still_fits(&self) -> bool {
         let (from, to) = (self.server.described.now(), self.client.described.now());
         let end = |id: &ComponentId, port: &Name| PortId { component: id.clone(), port: port.clone() };
@@ -86,19 +87,19 @@ impl Wired {
     pub(super) fn disconnect(&self) {
         self.joined.cut();
         if self.client.reclaim() + self.server.reclaim() > 0 {
-            // A cycle under way may still look at what was cut; it is dropped after it.
+            // A cycle under way may still look at the cut wires; they are dropped after it.
             self.client.look_at_ports();
         }
     }
 
-    /// True for a stream whose ends are stepped by the same thread.
+    /// Tells whether it is a stream: an output joined to an input.
     pub(super) fn is_stream(&self) -> bool {
         self.joined.is_stream()
     }
 
     pub(super) fn detail(&self) -> LinkDetail {
         let mut detail = self.joined.detail();
-        // Called in the same thread nobody has to be told.
+        // A call in the same thread needs no wake.
         if detail.carrier != "inline" {
             detail.client_wake = self.client.wake_mode();
             detail.server_wake = if self.is_stream() { "" } else { self.server.wake_mode() };
@@ -107,18 +108,18 @@ impl Wired {
     }
 }
 
-/// How samples pass.
+/// Passage of samples through a connection.
 pub(super) struct Passage {
     pub(super) payload: Payload,
     pub(super) queue: stream::Queue,
     /// Samples that may wait.
     pub(super) depth: usize,
-    /// What of each is copied where, by name, and how long it is then, B.
+    /// Copy plan by name from each sample, and the size of the copy, B.
     pub(super) adapt: Option<(Vec<CopyRun>, usize)>,
 }
 
 impl Passage {
-    /// Of samples of type `ty` to the input `to`.
+    /// Determines the passage of samples of type `ty` to the input `to`.
     pub(super) fn of(connection: &Connection, ty: &PortType, to: &Input, adapt: bool) -> Passage {
         let adapt = match (ty, &to.ty) {
             (PortType::Plain(from), PortType::Plain(to)) if adapt => {
@@ -140,7 +141,7 @@ impl Passage {
     }
 }
 
-/// The type that passes: the output's, or the input's where the output has none of its own yet.
+/// Type of the samples: the output's, or the input's where the output has none of its own yet.
 pub(super) fn passing(
     connection: &Connection,
     from: &PortType,
@@ -177,8 +178,8 @@ pub(super) fn passing(
     }
 }
 
-/// What a function is bound to for the command at position `id` of the server's set, queued through `inbox` where it has
-/// to be.
+/// Binding of a function to the command at position `id` of the server's set, queued through `inbox` where
+/// necessary.
 pub(super) fn target(
     server: &Arc<Instance>,
     set: &PortSet,
@@ -212,7 +213,7 @@ pub(super) fn target(
     }
 }
 
-/// What a command is queued as, at this place among the functions of its connection.
+/// Lane in which a command is queued; `index` is its place among the functions of its connection.
 pub(super) fn lane(command: &Command, index: usize) -> Lane {
     Lane {
         index: index as u32,

@@ -1,6 +1,8 @@
-//! What the present thread is doing: which executor it drives, whether it is inside a step, which component runs.
+//! Present activity of this thread: the executor it drives, whether it is inside a step, the component that
+//! runs.
 //!
-//! Invariant: only executors and the LCM's own workers set it; slots read it to tell "same executor" from "other thread".
+//! Invariant: only executors and the LCM's own workers set it; slots read it to tell "same executor" from
+//! "other thread".
 
 use std::cell::{Cell, RefCell};
 use std::ptr;
@@ -43,7 +45,8 @@ pub(super) fn set_executor(id: ExecutorId) {
     ROUNDING.set(os::rounding());
 }
 
-/// Puts the rounding mode of this executor's thread back to what it was before any component ran; false when it had to.
+/// Restores the rounding mode that this executor's thread had before any component ran; false when it had
+/// changed.
 pub(super) fn keep_rounding() -> bool {
     if os::rounding() == ROUNDING.get() {
         return true;
@@ -52,7 +55,7 @@ pub(super) fn keep_rounding() -> bool {
     false
 }
 
-/// Gives this thread of the LCM the team of its stream; `None` takes it away.
+/// Gives this thread of the LCM the team of its stream; `None` removes it.
 pub(super) fn set_team(team: Option<Arc<Team>>) {
     TEAM.set(team);
 }
@@ -62,7 +65,7 @@ pub(super) fn team() -> Option<Arc<Team>> {
     TEAM.with_borrow(Option::clone)
 }
 
-/// Runs `f` so that what it tells passive components is handled on their own threads, never here.
+/// Runs `f` so that passive components handle its events and calls on their own threads, never here.
 pub(super) fn deferred<R>(f: impl FnOnce() -> R) -> R {
     let before = DEFERRED.replace(true);
     let result = f();
@@ -86,20 +89,20 @@ pub(super) fn set_stepping(on: bool) {
     STEPPING.set(on);
 }
 
-/// True inside a `step` entry itself, whoever it calls from there.
+/// True inside a `step` entry itself, and in everything called from there.
 #[inline]
 pub(super) fn in_step() -> bool {
     IN_STEP.get()
 }
 
-/// Says when the step that runs on this thread began, ns; 0 ends it.
+/// Sets when the step that runs on this thread began, ns; 0 ends it.
 #[inline]
 pub(super) fn set_step_began(ns: u64) {
     STEP_BEGAN_NS.set(ns);
 }
 
-/// When the step that runs on this thread began, ns; without one the time now. For figures, where a step's length more or
-/// less does not matter and a look at the clock would.
+/// Start of the step that runs on this thread, ns; outside a step the time now. For statistics, where an
+/// error of a step's length does not matter and a look at the clock would.
 #[inline]
 pub(super) fn about_now_ns() -> u64 {
     match STEP_BEGAN_NS.get() {
@@ -137,13 +140,13 @@ pub(super) fn wake(waker: &Arc<Waker>) {
     }
 }
 
-/// Wakes are noted on this thread that were not issued yet.
+/// Tells whether wakes noted on this thread are still to be issued.
 #[cfg(test)]
 pub(super) fn has_wakes() -> bool {
     WAKES.with_borrow(|list| !list.is_empty())
 }
 
-/// Marks those that were told in this turn, and issues the wakes collected during the step.
+/// Marks the instances told in this turn, and issues the wakes collected during the step.
 pub(super) fn flush_wakes() {
     FLUSHING.set(true);
     told::flush();

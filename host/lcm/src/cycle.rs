@@ -1,7 +1,8 @@
-//! One cycle of a thread: which of its members step, in which order, and how their timing is kept.
+//! One cycle of a thread: the members that step, their order, and their timing.
 //!
-//! Invariant: real-time. A member steps at most once per cycle; one that runs inside another steps exactly when that one is
-//! due, before it (`exec_in`) or after it (`exec_out`), and what it does never keeps the other from its step.
+//! Invariant: real-time. A member steps at most once per cycle; a member that runs inside another one steps
+//! exactly when that one is due, before it (`exec_in`) or after it (`exec_out`), and never keeps the other
+//! from its step.
 
 use std::sync::Arc;
 
@@ -16,12 +17,12 @@ use super::context;
 use super::instance::{Instance, Stepped};
 use super::pending;
 
-/// When a member of a thread steps.
+/// Time at which a member of a thread steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Follow {
     /// In every cycle of its thread.
     Thread,
-    /// When something new is there: a filter of a stream.
+    /// When new data have come: a filter of a stream.
     Input,
     /// Whenever this member (an instance's number) steps.
     Member(u32),
@@ -32,7 +33,7 @@ pub(super) enum Follow {
 pub(super) struct Member {
     pub(super) instance: Arc<Instance>,
     pub(super) follow: Follow,
-    /// Whether it steps in this cycle; `None` until somebody asked.
+    /// Whether it steps in this cycle; `None` until decided.
     due: Option<bool>,
 }
 
@@ -42,24 +43,24 @@ impl Member {
     }
 }
 
-/// A cycle in which every member steps that follows its thread; true when one did.
+/// Runs a cycle in which every member that follows its thread steps; true when one did.
 pub(super) fn all(members: &mut [Member], cycle: &Cycle) -> bool {
     run(members, cycle, false)
 }
 
-/// A cycle in which only those step that something is there for; true when one did.
+/// Runs a cycle in which only signalled members step; true when one did.
 pub(super) fn signalled(members: &mut [Member], cycle: &Cycle) -> bool {
     run(members, cycle, true)
 }
 
-/// Runs what is queued for members between cycles, where no step would come soon.
+/// Runs the queued calls of members between cycles, where no step would come soon.
 pub(super) fn serve(members: &[Member], pace: Pace) {
     if members.iter().any(|m| m.instance.has_signal() && !steps_at_once(m, pace)) {
         turn::run(|| serve_signalled(members, pace));
     }
 }
 
-/// Its own step comes right away and takes what is queued.
+/// Tells whether the member's own step comes right away and takes the queued calls.
 fn steps_at_once(member: &Member, pace: Pace) -> bool {
     let steps = member.instance.is_active() && !member.instance.is_called_back();
     steps && !matches!(member.follow, Follow::Member(_)) && pace == Pace::Signal
@@ -94,15 +95,15 @@ fn serve_signalled(members: &[Member], pace: Pace) {
     }
 }
 
-/// Answers what is queued for members that are not ACTIVE.
+/// Answers the calls queued for members that are not ACTIVE.
 pub(super) fn refuse(members: &[Member]) {
     for member in members.iter().filter(|m| m.instance.take_signal()) {
         member.instance.serve();
     }
 }
 
-/// The whole cycle is one turn of this thread, and the members' locks are taken once for it: within it neither bindings
-/// nor entries cost an atomic operation.
+/// Runs the whole cycle as one turn of this thread, and takes the members' locks once for it: within it
+/// neither bindings nor entries cost an atomic operation.
 fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
     turn::run(|| {
         context::set_stepping(true);
@@ -117,7 +118,7 @@ fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
     })
 }
 
-/// Takes the locks of those that run on this thread alone.
+/// Takes the locks of the members that run on this thread alone.
 fn keep(members: &[Member]) {
     let own =
         |m: &&Member| m.instance.is_active() && !m.instance.is_passive() && !m.instance.is_called_back();
@@ -127,7 +128,7 @@ fn keep(members: &[Member]) {
 fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
     members.iter_mut().for_each(|m| m.due = None);
     let mut stepped = false;
-    // Where one member's time ends the next one's begins.
+    // The end of one member's time is the beginning of the next one's.
     let mut now_ns = cycle.begin_ns;
     for at in 0..members.len() {
         let due = is_due(members, at, by_signal);
@@ -143,17 +144,19 @@ fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
     stepped
 }
 
-/// Steps when something is there for it. What comes after it was asked in a cycle keeps its mark for the next one: run
-/// without a step it would leave those that run inside without theirs.
+/// Tells whether the member steps only when signalled. A signal that comes after it was asked in a cycle
+/// keeps its mark for the next one: served without a step it would leave the members that run inside without
+/// theirs.
 fn steps_for_signal(member: &Member, by_signal: bool) -> bool {
     let follows = member.follow == Follow::Input || by_signal && member.follow == Follow::Thread;
     follows && member.instance.is_active() && !member.instance.is_called_back()
 }
 
-/// Whether its steps are its thread's cycles: not those of a filter, nor of what runs inside one.
+/// Tells whether its steps are its thread's cycles: not those of a filter, nor of a member that runs inside
+/// one.
 fn goes_with_thread(members: &[Member], at: usize) -> bool {
     let mut follow = members[at].follow;
-    // As deep as there are members; should two name each other, it is no deeper.
+    // The chain is no deeper than the number of members; the limit holds even if two members name each other.
     for _ in members {
         match follow {
             Follow::Thread => return true,
@@ -167,12 +170,13 @@ fn goes_with_thread(members: &[Member], at: usize) -> bool {
     false
 }
 
-/// Whether the member at `at` steps in this cycle; asked once, so that all around it get the same answer.
+/// Tells whether the member at `at` steps in this cycle; decided once, so that all members around it get the
+/// same answer.
 fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
     if let Some(due) = members[at].due {
         return due;
     }
-    // Should two name each other, neither steps.
+    // If two members name each other, neither steps.
     members[at].due = Some(false);
     let parent_is_due = match members[at].follow {
         Follow::Thread | Follow::Input => true,
@@ -193,19 +197,19 @@ fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
     due
 }
 
-/// A member something is there for although it does not step: its queue is run or answered; frames may pass it.
+/// Serves a signalled member that does not step: its queue is run or answered; frames may pass it.
 fn unstepped(member: &Member) {
     if !bypass(&member.instance) && member.instance.take_signal() {
         member.instance.serve();
     }
 }
 
-/// Lets frames pass one that has failed where it says so, and answers what is queued for it; false of any other.
+/// Lets frames pass a failed component with a bypass, and answers its queued calls; false for any other.
 fn bypass(instance: &Instance) -> bool {
     if !instance.bypasses() || instance.state() != State::Fault {
         return false;
     }
-    // Before the look at the frames: what comes after it leaves its mark again, and so may what is left over.
+    // Cleared before the look at the frames: later arrivals and leftovers set the mark again.
     instance.take_signal();
     if let Some(mut entered) = instance.object.try_enter() {
         boundary::bypass(instance, &mut entered);
@@ -214,16 +218,18 @@ fn bypass(instance: &Instance) -> bool {
     true
 }
 
-/// One step with its timing; answers when it ended, ns. `on_grid`: whether periods that its thread leaves out are its own.
+/// Makes one step with its timing; returns its end, ns. `on_grid`: whether periods that its thread leaves out
+/// are its own.
 fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
     let instance = &*member.instance;
-    // Somebody inside means a control entry still runs; this cycle is left out and counted.
+    // A control entry is still inside; this cycle is left out and counted.
     let Some(mut entered) = instance.object.try_enter() else {
         instance.stats.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
         return begin_ns;
     };
     if !instance.is_active() {
-        // It was stopped, or failed, after this cycle had asked who steps in it: the cycle is not its own.
+        // The component was stopped, or failed, after this cycle had asked which members step: the cycle is
+        // not its own.
         drop(entered);
         if !bypass(instance) {
             instance.serve();
@@ -232,7 +238,7 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
     }
     let inner = entered.inner();
     let fresh = inner.last_begin_ns == 0;
-    // What was left out before its start is not its own.
+    // Periods left out before its start are not its own.
     let skipped = if on_grid && !fresh { cycle.skipped } else { 0 };
     inner.cycle += 1 + skipped;
     let period_ns = if on_grid { cycle.period_ns } else { 0 };
@@ -253,7 +259,7 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
         instance.stats.record_skipped(1 + skipped);
         return end_ns;
     }
-    // How late its thread was; what others in the cycle took before it is not its own lateness.
+    // Lateness of its thread; the time that others in the cycle took before it does not count as its own.
     let lateness_ns = if on_grid { cycle.begin_ns.saturating_sub(cycle.deadline_ns) } else { 0 };
     instance.stats.record(begin_ns, end_ns, lateness_ns);
     instance.stats.record_skipped(skipped);

@@ -1,8 +1,7 @@
-//! The ports of one instance as its description has them now, and how another description takes their place.
+//! Ports of one instance by its present description, and their replacement by another description.
 //!
 //! Invariant: ports change only inside the component, between two steps, and only after `describe` made sense
-//! and `bind` took them: whatever fails leaves the old ports, their connections and what is queued in them as
-//! they were.
+//! and `bind` took them: any failure leaves the old ports, their connections and their queues as they were.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -41,7 +40,7 @@ pub(super) struct PortSet {
     pub(super) external: Arc<Inbox>,
     /// Input and output of the same type, for a filter that is bypassed.
     pub(super) bypass: Option<(usize, usize)>,
-    /// Told of the commands, where there are any.
+    /// Is told of the commands, where there are any.
     pub(super) command_tap: Option<CommandTap>,
     /// Kind of goal of each command.
     pub(super) goals: Vec<Goal>,
@@ -49,7 +48,7 @@ pub(super) struct PortSet {
 }
 
 impl PortSet {
-    /// Everything for `ports`; what stays of `before` is taken over.
+    /// Makes everything for `ports`; parts of `before` that stay are taken over.
     ///
     /// # Errors
     /// There is no memory for the frames of an output.
@@ -109,12 +108,12 @@ impl PortSet {
         })
     }
 
-    /// The tap of its rows, where it has any.
+    /// The tap of the rows, if there is one.
     pub(super) fn row_tap(&self) -> Option<&Arc<OutCell>> {
         Some(self.slots.output(self.ports.outputs.iter().position(|output| output.name == TAPS[0])?))
     }
 
-    /// Its events are told to its own tap from now on, also those it has from the set before.
+    /// Sends the events to this set's own tap from now on, also events taken over from the set before.
     pub(super) fn tap_events(&self) {
         let tap = self.ports.outputs.iter().position(|output| output.name == TAPS[1]);
         let cell = tap.map(|at| self.slots.output(at));
@@ -124,7 +123,7 @@ impl PortSet {
         }
     }
 
-    /// Words a result of any of its commands needs.
+    /// Words that a result of any command needs.
     pub(super) fn ret_words(&self) -> usize {
         self.max_ret.div_ceil(8)
     }
@@ -135,12 +134,12 @@ impl PortSet {
         self.slots.event(self.ports.first_event(system) + event)
     }
 
-    /// Which read of the system interface the command at that position is.
+    /// Number of the system interface's read at that position among the commands.
     pub(super) fn system_command(&self, command: usize) -> Option<usize> {
         command.checked_sub(self.ports.first_command(self.ports.provided.len().saturating_sub(1)))
     }
 
-    /// Gives every command and handler its id in this set; those of `before` that are not here are withdrawn.
+    /// Gives every command and handler its id in this set; withdraws those of `before` that are not here.
     pub(super) fn renumber(&self, before: &PortSet) {
         let gone = |old: &Arc<Position>, now: &[Arc<Position>]| !now.iter().any(|p| Arc::ptr_eq(p, old));
         before.commands.iter().filter(|p| gone(p, &self.commands)).for_each(|p| p.put(None));
@@ -150,7 +149,7 @@ impl PortSet {
         }
     }
 
-    /// Names of all its ports.
+    /// Names of all ports.
     fn names(&self) -> Vec<String> {
         let ports = &self.ports;
         let moving = ports.inputs.iter().map(|p| &p.name).chain(ports.outputs.iter().map(|p| &p.name));
@@ -158,7 +157,7 @@ impl PortSet {
         moving.chain(called).cloned().collect()
     }
 
-    /// Names of the ports of `before` that are not in this set any more, or not as they were.
+    /// Names of the ports of `before` that are gone from this set or have changed.
     fn lost(&self, before: &PortSet) -> Vec<String> {
         let (old, new) = (&before.ports, &self.ports);
         let inputs = old.inputs.iter().filter(|o| !new.inputs.iter().any(|n| same_input(o, n)));
@@ -177,10 +176,11 @@ impl PortSet {
 /// The kind of goal a command gives its component.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Goal {
-    /// Nothing: it only carries words, choices or flags, or nothing at all, as what stops a device does.
+    /// None: the command carries only text, choices or flags, or no argument, like a command that stops a
+    /// device.
     #[default]
     None,
-    /// Numbers, which are right when they are sent.
+    /// Numbers, which are valid at the time they are sent.
     Numbers,
     /// A goal of a stream that is renewed all the time, CRTK's `servo_*`.
     Servo,
@@ -205,20 +205,20 @@ impl Goal {
         }
     }
 
-    /// The goal as this argument makes it: a word that lets a device rest is none. Real-time.
+    /// The goal with this argument: a word that lets a device rest is no goal. Real-time.
     pub(super) fn with(self, arg: &[u8]) -> Goal {
         if self == Goal::State && !IN_MOTION.contains(&text(arg)) { Goal::None } else { self }
     }
 }
 
-/// The bytes of a text as it is laid out: its length, then room for the longest one.
+/// The bytes of a text as laid out: its length, then room for the longest one.
 fn text(arg: &[u8]) -> &[u8] {
     let Some((length, room)) = arg.split_first_chunk() else { return &[] };
     let length = usize::try_from(u64::from_ne_bytes(*length)).unwrap_or(usize::MAX);
     room.get(..length).unwrap_or_default()
 }
 
-/// Where an instance keeps its ports.
+/// Store of an instance's ports.
 pub(super) struct Described {
     now: BindingCell<Arc<PortSet>>,
     wished: AtomicBool,
@@ -227,15 +227,15 @@ pub(super) struct Described {
 
 #[derive(Default)]
 struct Life {
-    /// Sets the plugin, or a thread of its own that is still on its way out, may hold slots of.
+    /// Sets whose slots the plugin, or a thread of its own that is about to end, may still hold.
     kept: Vec<Arc<PortSet>>,
-    /// What the instance was last bound to is not the present set, but the class's own.
+    /// True while the instance is bound to the class's own set instead of the present one.
     fresh: bool,
-    /// Ports that went, or are not what they were, and whose connections nobody has cut yet.
+    /// Ports that are gone or have changed, and whose connections are not cut yet.
     lost: Vec<String>,
-    /// Another set took over.
+    /// True when another set took over.
     changed: bool,
-    /// It did so at the component's own wish, and nobody was told yet.
+    /// True when that was at the component's own wish, and is not reported yet.
     untold: bool,
 }
 
@@ -261,14 +261,14 @@ impl Described {
         self.now.look(|set| f(set))
     }
 
-    /// Names of the ports that went since the last time somebody asked.
+    /// Names of the ports lost since the last call.
     pub(super) fn take_lost(&self) -> Vec<String> {
         let mut life = self.life();
         life.changed = false;
         std::mem::take(&mut life.lost)
     }
 
-    /// The component wants to be asked for its ports. Any thread; never waits.
+    /// Notes that the component wants to be asked for its ports. Any thread; never waits.
     pub(super) fn wish(&self) {
         self.wished.store(true, Ordering::Release);
     }
@@ -283,7 +283,7 @@ impl Described {
         self.wished.swap(false, Ordering::AcqRel)
     }
 
-    /// A description at the component's own wish came through: what it changed has to be told.
+    /// Notes that a description at the component's own wish came through: its changes have to be reported.
     pub(super) fn tell_change(&self) {
         let mut life = self.life();
         life.untold = std::mem::take(&mut life.changed) || life.untold;
@@ -294,7 +294,7 @@ impl Described {
         std::mem::take(&mut self.life().untold)
     }
 
-    /// The slots of all its sets that there still are.
+    /// The slots of all its sets that still exist.
     pub(super) fn all_slots(&self) -> Vec<Arc<Slots>> {
         let kept = self.life().kept.clone();
         kept.iter().chain([&self.now()]).map(|set| set.slots.clone()).collect()
@@ -310,18 +310,18 @@ impl Described {
 }
 
 impl Instance {
-    /// Its ports as described now.
+    /// The ports by the present description.
     pub(super) fn ports(&self) -> Arc<Ports> {
         self.described.now.enter().ports.clone()
     }
 
-    /// Has the ports looked at: after a wish, and after what came of it. Any thread; never waits.
+    /// Requests a look at the ports: after a wish, and after its outcome. Any thread; never waits.
     pub(super) fn look_at_ports(&self) {
         context::wake(&self.hub.ports);
     }
 
-    /// Passes on what a filter that failed would have worked on: its first input, to its first output of that
-    /// type. What is left then is taken up without a new sample. Component's thread only; real-time.
+    /// Passes on the samples that a failed filter would have worked on: from its first input to its first
+    /// output of that type. Leftovers are taken up without a new sample. Component's thread only; real-time.
     pub(super) fn bypass(&self) {
         let set = self.described.now.enter();
         if let Some((input, output)) = set.bypass
@@ -338,8 +338,8 @@ impl Instance {
         inputs.filter(|(i, _)| set.slots.input(*i).is_stale(now_ns)).map(|(_, p)| p.name.clone()).collect()
     }
 
-    /// Locks the frame pools of its outputs into memory, each once; says which the machine refused. Managers
-    /// only.
+    /// Locks the frame pools of its outputs into memory, each once; warns of those the machine refused.
+    /// Managers only.
     pub(super) fn lock_pools(&self) {
         let set = self.described.now();
         for (output, why) in set.slots.lock_pools() {
@@ -350,13 +350,13 @@ impl Instance {
         }
     }
 
-    /// Its queues that were full and of which nobody was told yet; see `Inbox::untold_losses`.
+    /// Queues that were full and are not reported yet; see `Inbox::untold_losses`.
     pub(super) fn full_queues(&self, now_ns: u64) -> Vec<Arc<Inbox>> {
         self.queues().into_iter().filter(|i| i.untold_losses(now_ns) > 0).collect()
     }
 }
 
-/// Asks the class for its ports and takes them over when they are others. Inside the component, between two
+/// Asks the class for its ports and takes them over when they differ. Inside the component, between two
 /// steps.
 ///
 /// # Errors
@@ -375,8 +375,8 @@ pub(super) fn describe(instance: &Instance, entered: &mut Entered<'_>) -> Entry 
     take_over(instance, entered, ports)
 }
 
-/// Binds a fresh instance to the ports every instance of its class begins with. Those it had before a Reset
-/// stay for the description that follows: what is connected to them survives it.
+/// Binds a fresh instance to the ports every instance of its class begins with. Its ports from before a Reset
+/// stay for the description that follows: their connections survive it.
 pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     let now = instance.described.now();
     let own = if *now.ports == instance.info.ports && !instance.holds_on() {
@@ -392,19 +392,19 @@ pub(super) fn bind_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entr
     instance.as_running(Inside::Bind, || entered.bind(own.slots.table())).map_err(|e| ("bind", e))
 }
 
-/// The set whose ports a new one may take over: none where handles to it are still held, or two threads
-/// would have one port.
+/// The set whose ports a new one may take over: none where handles to it are still held, as two threads would
+/// otherwise share one port.
 fn still<'a>(instance: &Instance, before: &'a PortSet) -> Option<&'a PortSet> {
     (!instance.holds_on()).then_some(before)
 }
 
-/// Here a refusal is a failure, too: configuration and ports do not go together any more.
+/// Makes a refusal a failure here: configuration and ports do not go together any more.
 fn failed(entry: &'static str, e: EntryError) -> (&'static str, EntryError) {
     let status = if e.panicked() { e.status } else { STATUS_FAILED };
     (entry, EntryError { status, ..e })
 }
 
-/// After a Reset without a configuration: the class's own ports are the component's again.
+/// Takes the class's own ports again, after a Reset without a configuration.
 pub(super) fn as_fresh(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     take_over(instance, entered, instance.info.ports.clone())
 }
@@ -429,8 +429,8 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     let mut new = if same && shares { before.clone() } else { made(ports, still(instance, &before))? };
     bind_to(instance, entered, &new)?;
     if shares && instance.holds_on() {
-        // Handles of the bind before were left just now: they keep what they lead to, and the component has
-        // another.
+        // The component has just left handles of the previous bind: those handles keep their targets, and the
+        // component gets another set.
         shares = false;
         new = made((*new.ports).clone(), None)?;
         bind_to(instance, entered, &new)?;
@@ -457,8 +457,8 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
         all.retain(|i| !Arc::ptr_eq(i, &before.external));
         all.push(new.external.clone());
     });
-    // What the outside had queued is not executed under another description, and what others had queued for
-    // an interface that went is answered before their connections are cut.
+    // Calls queued from outside are not executed under another description. Calls queued by others for an
+    // interface that is gone are answered before their connections are cut.
     before.external.close(DISABLED);
     instance
         .queues()

@@ -37,7 +37,7 @@ pub(super) fn pace_of(execution: &Execution) -> Pace {
     }
 }
 
-/// The members of a thread, in the order of their steps, and how it finds its cycles.
+/// The members of a thread, in the order of their steps, and its pacer.
 pub(super) struct Crew {
     pub(super) members: Vec<Member>,
     pub(super) bells: Rung,
@@ -48,7 +48,7 @@ pub(super) struct Crew {
 #[derive(Default)]
 pub(super) struct Rung {
     bells: Vec<Arc<Waker>>,
-    /// Whom each one is for.
+    /// The member of each bell.
     members: Vec<Arc<Instance>>,
 }
 
@@ -65,7 +65,7 @@ impl Rung {
         }
     }
 
-    /// Tells the members what was rung for them. Real-time.
+    /// Signals the members whose bells were rung. Real-time.
     fn hear(&self) {
         for (bell, member) in self.bells.iter().zip(&self.members) {
             if bell.take_if_set() {
@@ -80,42 +80,43 @@ type Job = Box<dyn FnOnce(&mut Crew) + Send>;
 pub(super) struct Executor {
     pub(super) id: ExecutorId,
     pub(super) waker: Arc<Waker>,
-    /// How it finds its cycles.
+    /// Way the thread finds its cycles.
     pub(super) pace: Pace,
-    /// It looks at its queues in the cycle only: nobody wakes it in between.
+    /// True when the thread looks at its queues in the cycle only and is not woken in between.
     pub(super) polls: bool,
     jobs: Mutex<VecDeque<Job>>,
     has_jobs: AtomicBool,
     stop: AtomicBool,
-    /// Changed and asked under the lock of `jobs`.
+    /// Changed and read under the lock of `jobs`.
     ended: AtomicBool,
     pub(super) settings: Arc<Settings>,
-    /// As the kernel shows it, and as threads are called that code on it starts without a name of their own.
+    /// Name as the kernel shows it; also the name of threads that code on it starts without a name of their
+    /// own.
     pub(super) name: String,
     /// Kernel id of the thread; 0 until it runs.
     tid: AtomicI32,
-    /// Bells it sleeps on, or is about to.
+    /// Number of bells the thread sleeps on, or is about to.
     bells: AtomicUsize,
-    /// Phase of its grid, ns; its pacer is told by a job.
+    /// Phase of its grid, ns; a job sets it in its pacer.
     phase_ns: AtomicU64,
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
-/// Names of all executors' threads, of whichever LCM, by kernel id: a program may have several, with
-/// components of one name.
+/// Names of all executors' threads, by kernel id, whichever LCM they belong to: a program may have several
+/// LCMs, with components of one name.
 static NAMES: Mutex<BTreeMap<i32, String>> = Mutex::new(BTreeMap::new());
 
 fn all_names() -> MutexGuard<'static, BTreeMap<i32, String>> {
     NAMES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Names of the threads of this process's executors, which threads bear that code on them starts without a
-/// name of their own.
+/// Names of the threads of this process's executors; threads that code on them starts without a name of their
+/// own have these names, too.
 pub(super) fn names() -> BTreeSet<String> {
     all_names().values().cloned().collect()
 }
 
-/// One thread among them, until it ends.
+/// One thread in the list of names, until it ends.
 struct Named(i32);
 
 impl Named {
@@ -185,8 +186,8 @@ impl Executor {
         self.tid.load(Ordering::Acquire)
     }
 
-    /// Runs `job` on the thread, between cycles. Once the thread has ended it is dropped, so that whoever
-    /// waits for it hears.
+    /// Runs `job` on the thread, between cycles. After the end of the thread the job is dropped, so that a
+    /// caller that waits for it is told.
     pub(super) fn submit(&self, job: impl FnOnce(&mut Crew) + Send + 'static) {
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
         if self.ended.load(Ordering::Relaxed) {
@@ -210,10 +211,10 @@ impl Executor {
         }
     }
 
-    /// From now on another process can wake it for this member with this bell.
+    /// Lets another process wake the thread for this member with this bell from now on.
     ///
     /// # Errors
-    /// It sleeps on as many bells as the kernel lets it.
+    /// The thread sleeps on as many bells as the kernel allows.
     pub(super) fn add_bell(&self, bell: Arc<Waker>, member: Arc<Instance>) -> Result<(), String> {
         if self.bells.fetch_add(1, Ordering::Relaxed) >= MOST_BELLS {
             self.bells.fetch_sub(1, Ordering::Relaxed);
@@ -231,13 +232,13 @@ impl Executor {
         self.submit(move |crew| crew.bells.remove(&bell));
     }
 
-    /// Jobs nobody has begun.
+    /// Number of jobs not begun yet.
     #[cfg(test)]
     pub(super) fn waiting(&self) -> usize {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
 
-    /// Ends the thread after the jobs already there.
+    /// Ends the thread after the jobs that are queued already.
     pub(super) fn close(&self) {
         self.stop.store(true, Ordering::Release);
         self.waker.notify();
@@ -254,7 +255,7 @@ impl Executor {
             let Crew { members, bells, pacer } = &mut *crew;
             bells.hear();
             let clock = Bells { own: &self.waker, bells: &bells.bells };
-            // Who looks by itself is not woken by other processes either.
+            // A polling thread is not woken by other processes either.
             let looks = self.polls;
             if !looks {
                 cycle::serve(members, pacer.pace());
@@ -264,7 +265,7 @@ impl Executor {
                 pacer.rest(&clock);
                 continue;
             }
-            // Whoever leaves a callback runs what is queued, or wakes this thread again.
+            // The thread that leaves a callback runs the queued calls, or wakes this thread again.
             let asks = |m: &Member| m.instance.has_signal() && !m.instance.is_called_back();
             let signalled = || members.iter().any(asks);
             let due = if looks { pacer.next(&*self.waker, signalled) } else { pacer.next(&clock, signalled) };
@@ -277,15 +278,15 @@ impl Executor {
                 if stepped || members.iter().any(asks) {
                     thread::yield_now();
                 } else {
-                    // Its head stands still: nothing to run freely for.
+                    // The head is not ACTIVE: there is nothing to run freely for.
                     clock.wait(None);
                 }
             }
         }
     }
 
-    /// The thread broke down outside of its members, by a fault of the host: they are made safe and run no
-    /// more.
+    /// Makes the members safe and ends them, after the thread broke down outside of its members, by a fault
+    /// of the host.
     fn abandon(&self, members: &[Member], panic: &str) {
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
         self.ended.store(true, Ordering::Relaxed);
@@ -302,14 +303,14 @@ impl Executor {
                 instance.pay_safe(&mut entered);
             }
         }
-        // A caller that waits for a job hears that nobody will do it.
+        // A caller that waits for a job is told that it will not run.
         drop(left);
         if let Some(member) = members.first() {
             cannot_go_on(&member.instance.hub, why);
         }
     }
 
-    /// Takes no job any more; false while there still is one.
+    /// Tells whether no job is left, and accepts no more in that case.
     fn ends(&self) -> bool {
         let jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
         let ends = jobs.is_empty();

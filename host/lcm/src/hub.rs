@@ -1,4 +1,4 @@
-//! What all components of one LCM share: its name, its news, its log ring, the way to wake its watchdog.
+//! State shared by all components of one LCM: its name, its news, its log ring, the way to wake its watchdog.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
@@ -16,14 +16,14 @@ use super::logs::LogRing;
 use super::reading::Readers;
 use super::services::Desk;
 
-/// News a lagging receiver may miss before it has to ask for the inventory.
+/// Most news that wait for a lagging receiver before it has to ask for the inventory.
 const NEWS_DEPTH: usize = 1024;
 
 pub(super) struct Hub {
     pub(super) process: Name,
     pub(super) news: broadcast::Sender<News>,
     pub(super) logs: Arc<LogRing>,
-    /// Where components ask for services.
+    /// Desk where components ask for services.
     pub(super) desk: Arc<Desk>,
     /// Threads for reads from outside.
     pub(super) readers: Arc<Readers>,
@@ -37,7 +37,7 @@ pub(super) struct Hub {
     pub(super) remains: AllRemains,
     /// Reports made so far.
     pub(super) reports: AtomicU64,
-    /// What the process itself is warned of.
+    /// Warnings of the process itself.
     pub(super) warnings: Mutex<BTreeMap<Concern, String>>,
 }
 
@@ -58,19 +58,19 @@ impl Hub {
         })
     }
 
-    /// Warns of the process itself from now on; nothing: not of this any more.
+    /// Warns of the process itself from now on; `None`: ends the warning.
     pub(super) fn warn(&self, of: Concern, warning: Option<String>) {
         let mut all = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
         match warning {
             Some(warning) => _ = all.insert(of, warning),
             None => _ = all.remove(&of),
         }
-        // Nobody listening is fine: the inventory has it.
+        // A failure is fine without listeners: the inventory has the warnings.
         let _ = self.news.send(News::Warnings(concern::told(&all)));
     }
 
-    /// Keeps what a component that is dropped leaves; while a cycle may look there, the follower of ports
-    /// comes by.
+    /// Keeps the remains of a dropped component; while a cycle may look there, the follower of ports is
+    /// woken.
     pub(super) fn keep_remains(
         &self,
         host: &Arc<HostContext>,
@@ -82,7 +82,7 @@ impl Hub {
         }
     }
 
-    /// Keeps a component for ever, on purpose, and says so.
+    /// Keeps a component for ever, on purpose, and logs it.
     pub(super) fn bury(&self, instance: Arc<Instance>, why: &str) {
         let mut graveyard = self.graveyard.lock().unwrap_or_else(PoisonError::into_inner);
         if graveyard.iter().any(|i| i.number == instance.number) {
@@ -93,7 +93,7 @@ impl Hub {
         graveyard.push(instance);
     }
 
-    /// How many components are kept for ever.
+    /// Number of components kept for ever.
     #[cfg(test)]
     pub(super) fn buried(&self) -> usize {
         self.graveyard.lock().unwrap_or_else(PoisonError::into_inner).len()

@@ -1,7 +1,7 @@
-//! Queues into one component, and what their entries mean.
+//! Queues into one component, and the meaning of their entries.
 //!
-//! Invariant: every entry that carries a reply is answered, executed or not; every event a full queue could not take is
-//! counted and told.
+//! Invariant: every entry that carries a reply is answered, executed or not; every event a full queue could
+//! not take is counted and reported.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, Weak};
@@ -14,17 +14,17 @@ use trocar_rt::reply::ReplyPool;
 use super::boundary::RangeCheck;
 use super::instance::Instance;
 
-/// Kinds of mailbox entries. A command whose goal grows old as its connection and its server's class say.
+/// Kinds of mailbox entries. The goal of a plain command ages as its connection and its server's class say.
 pub(super) const ENTRY_COMMAND: u32 = 0;
 pub(super) const ENTRY_EVENT: u32 = 1;
 /// A command that says itself until when it may be begun.
 pub(super) const ENTRY_DUE: u32 = 2;
 
-/// How often one connection's losses are told at most, ns.
+/// Shortest time between two reports of one connection's losses, ns.
 const TELL_NS: u64 = 1_000_000_000;
 
-/// Where a command or handler stands in its class's present description: its ABI id, which moves when ports in front of it
-/// come or go.
+/// Place of a command or handler in its class's present description: its ABI id, which moves when ports in
+/// front of it come or go.
 #[derive(Debug)]
 pub(super) struct Position(AtomicU32);
 
@@ -36,7 +36,8 @@ impl Position {
         Arc::new(Position(AtomicU32::new(id as u32)))
     }
 
-    /// `None` when the description does not hold it any more. Whoever is about to enter the instance asks inside.
+    /// `None` when the description does not hold it any more. A thread that is about to enter the instance
+    /// asks inside.
     pub(super) fn get(&self) -> Option<u32> {
         Some(self.0.load(Ordering::Acquire)).filter(|id| *id != WITHDRAWN)
     }
@@ -50,22 +51,22 @@ impl Position {
 pub(super) struct Inbox {
     pub(super) mailbox: Mailbox,
     pub(super) replies: Arc<ReplyPool>,
-    /// What an entry's index means: command or handler of the class.
+    /// Targets by an entry's index: commands or handlers of the class.
     pub(super) targets: Vec<Arc<Position>>,
-    /// Events of one connection; else commands of one client.
+    /// True for events of one connection; false for commands of one client.
     pub(super) events: bool,
-    /// Who fills it.
+    /// Source of the entries.
     pub(super) from: From,
-    /// What entries must be, where another process fills it; by their index.
+    /// Checks of entries by their index, where another process fills the queue.
     checks: Vec<Check>,
     losses: Losses,
-    /// Within which its connection wants commands carried out, ns; 0 = it says nothing.
+    /// Time within which its connection wants commands carried out, ns; 0 = none given.
     pub(super) deadline_ns: u64,
     toll: Toll,
     closed: AtomicBool,
 }
 
-/// Who fills a queue.
+/// Source of a queue's entries.
 pub(super) enum From {
     /// The control plane.
     Outside,
@@ -74,20 +75,20 @@ pub(super) enum From {
     Far(ComponentId),
 }
 
-/// What an entry of another process must be to be run.
+/// Conditions under which an entry of another process is run.
 pub(super) struct Check {
     pub(super) bytes: usize,
     pub(super) range: Option<RangeCheck>,
 }
 
-/// Entries that nobody waits for and that came to nothing after they had been taken.
+/// Counts of entries without a waiting caller that were taken and then failed or never ran.
 #[derive(Default)]
 struct Toll {
     /// Commands that ran and failed.
     failed: AtomicU64,
     /// Commands and events that never ran: Stop, Disconnect, Remove, another description, or too long a wait.
     unexecuted: AtomicU64,
-    /// What the last failure said.
+    /// Sentence of the last failure.
     last: Mutex<Sentence>,
     told: [AtomicU64; 2],
 }
@@ -106,7 +107,7 @@ impl Default for Sentence {
     }
 }
 
-/// What of a queue's losses was told already.
+/// Part of a queue's losses that is reported already.
 #[derive(Default)]
 struct Losses {
     told: AtomicU64,
@@ -114,7 +115,7 @@ struct Losses {
 }
 
 impl Inbox {
-    /// Commands of one client, whose connection gives them `deadline_ns`; 0: it says nothing.
+    /// Queue for commands of one client, whose connection gives them `deadline_ns`; 0: none given.
     pub(super) fn commands(
         mailbox: Mailbox,
         replies: Arc<ReplyPool>,
@@ -126,12 +127,12 @@ impl Inbox {
         Arc::new(Inbox { deadline_ns, ..inbox })
     }
 
-    /// Events of one connection.
+    /// Queue for events of one connection.
     pub(super) fn events(mailbox: Mailbox, targets: Vec<Arc<Position>>, from: From) -> Arc<Inbox> {
         Arc::new(Self::of(mailbox, ReplyPool::new(1, 0, 0), targets, from, true, Vec::new()))
     }
 
-    /// Commands of a client in another process.
+    /// Queue for commands of a client in another process.
     pub(super) fn far_commands(
         mailbox: Mailbox,
         replies: Arc<ReplyPool>,
@@ -143,7 +144,7 @@ impl Inbox {
         Arc::new(Inbox { deadline_ns, ..Self::of(mailbox, replies, targets, from, false, checks) })
     }
 
-    /// Events of a component of another process.
+    /// Queue for events of a component of another process.
     pub(super) fn far_events(
         mailbox: Mailbox,
         targets: Vec<Arc<Position>>,
@@ -175,7 +176,7 @@ impl Inbox {
         }
     }
 
-    /// Who fills it, where it is a component of this process, and its name.
+    /// The component that fills the queue, if it is in this process, and its name.
     pub(super) fn sender(&self) -> (Option<Arc<Instance>>, String) {
         match &self.from {
             From::Outside => (None, "outside".to_owned()),
@@ -189,7 +190,7 @@ impl Inbox {
         }
     }
 
-    /// Whether an entry is what it has to be, where another process may have put anything there.
+    /// Tells whether an entry meets its check, where another process may have put anything there.
     #[inline]
     pub(super) fn admits(&self, head: EntryHead, payload: &[u8]) -> bool {
         self.checks.is_empty() || self.is_as_agreed(head, payload)
@@ -213,17 +214,18 @@ impl Inbox {
         self.mailbox.close(|head| self.refuse(head, outcome));
     }
 
-    /// Its connection was cut.
+    /// Tells whether its connection was cut.
     pub(super) fn is_closed(&self) -> bool {
         self.closed.load(Ordering::Acquire)
     }
 
-    /// Commands of which none is described any more: its connection is about to be cut.
+    /// True for commands that are all withdrawn from the description: the connection is about to be cut.
     pub(super) fn is_withdrawn(&self) -> bool {
         !self.events && !self.targets.is_empty() && self.targets.iter().all(|target| target.get().is_none())
     }
 
-    /// Answers everything still queued with `outcome`, unexecuted, also while its component does not come back out of an entry.
+    /// Answers everything still queued with `outcome`, unexecuted, even while its component does not return
+    /// from an entry.
     pub(super) fn refuse_all(&self, outcome: Outcome) {
         let superseded = |head: EntryHead| {
             self.replies.fail(head.reply, outcome);
@@ -231,7 +233,7 @@ impl Inbox {
         self.mailbox.throw_out(|head| self.refuse(head, outcome), superseded);
     }
 
-    /// Answers one entry, unexecuted; where nobody waits for an answer it is counted. Real-time.
+    /// Answers one entry, unexecuted; an entry without a waiting caller is counted. Real-time.
     pub(super) fn refuse(&self, head: EntryHead, outcome: Outcome) {
         if head.reply == 0 {
             self.toll.unexecuted.fetch_add(1, Ordering::Relaxed);
@@ -240,10 +242,10 @@ impl Inbox {
         }
     }
 
-    /// A command ran and failed, and nobody waits to hear of it. Real-time.
+    /// Counts a command that ran and failed without a waiting caller. Real-time.
     pub(super) fn note_failure(&self, text: &[u8]) {
         self.toll.failed.fetch_add(1, Ordering::Relaxed);
-        // Somebody reads the one before just now: that one is told.
+        // The lock fails while another thread reads the previous sentence: that one is reported.
         if let Ok(mut last) = self.toll.last.try_lock() {
             last.len = text.len().min(SENTENCE_BYTES);
             let len = last.len;
@@ -251,21 +253,22 @@ impl Inbox {
         }
     }
 
-    /// Commands nobody waited for that ran and failed.
+    /// Commands without a waiting caller that ran and failed.
     pub(super) fn failed(&self) -> u64 {
         self.toll.failed.load(Ordering::Relaxed)
     }
 
-    /// Commands nobody waited for, and events, that were taken and never ran.
+    /// Commands without a waiting caller, and events, that were taken and never ran.
     pub(super) fn unexecuted(&self) -> u64 {
         self.toll.unexecuted.load(Ordering::Relaxed)
     }
 
-    /// Tells both ends of commands that were only sent and came to nothing since the last telling. Managers only.
+    /// Warns both ends of commands that were only sent and that failed or never ran since the last report.
+    /// Managers only.
     pub(super) fn tell_toll(&self, to: &Instance) {
         let now = [self.failed(), self.unexecuted()];
         let fresh = [0, 1].map(|i| self.toll.told[i].swap(now[i], Ordering::Relaxed) != now[i]);
-        // Whoever is not ACTIVE handles no events: that is no news every second.
+        // A component that is not ACTIVE handles no events: that is not worth a report every second.
         if self.events {
             return;
         }
@@ -296,14 +299,15 @@ impl Inbox {
         }
     }
 
-    /// Entries lost to a full queue so far. Commands that gave way to newer ones did so by their policy.
+    /// Entries lost to a full queue so far. Commands replaced by newer ones were replaced by their policy,
+    /// and do not count.
     pub(super) fn losses(&self) -> u64 {
         let stats = self.mailbox.stats();
         stats.rejected + if self.events { stats.dropped } else { 0 }
     }
 
-    /// How many entries were lost to a full queue since it was last told; 0 while the last telling is less than a second
-    /// ago. Managers only.
+    /// Number of entries lost to a full queue since the last report; 0 while that is less than a second ago.
+    /// Managers only.
     pub(super) fn untold_losses(&self, now_ns: u64) -> u64 {
         let lost = self.losses();
         let told = self.losses.told.load(Ordering::Relaxed);

@@ -1,7 +1,7 @@
 //! One component of this process: its plugin instance, its queues, its published state, its counters.
 //!
-//! Invariant: `gate` is the component's true state; only jobs on its executor and its own failures change it. Nothing here
-//! is removed while a peer still holds it: bindings keep an `Arc`.
+//! Invariant: `gate` is the component's true state; only jobs on its executor and its own failures change it.
+//! Nothing here is removed while a peer still holds it: bindings keep an `Arc`.
 
 mod drain;
 mod running;
@@ -41,29 +41,30 @@ use super::realtime::Settings;
 use super::services::Account;
 use super::supervise::{Entry, Moment, Watch};
 
-/// Rows of a state table whose length nobody set.
+/// Rows of a state table without a configured length.
 const STATE_ROWS: usize = 256;
 /// Rows of the table behind GetState.
 const STATUS_ROWS: usize = 8;
 
-/// Something a component or its callers did that was refused or went wrong: counted at once, told by the watchdog.
+/// An action of a component or its callers that was refused or went wrong: counted at once, reported by the
+/// watchdog.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Misuse {
     /// One of its commands was called from a step that would have had to wait for it.
     AskedToWait,
-    /// It did that itself.
+    /// The component itself made such a call from its step.
     CalledFromStep,
-    /// It asked for a service from its step.
+    /// The component asked for a service from its step.
     ServiceFromStep,
-    /// A thread of its device came in while somebody was inside.
+    /// A thread of its device came in while another thread was inside.
     Overlap,
-    /// One of its reads panicked. No instance was entered, so none is distrusted: it is no FAULT.
+    /// One of its reads panicked. A read enters no instance, so none is distrusted: it is no FAULT.
     ReadPanicked,
-    /// A read asked for from outside has not come back by its caller's deadline. As little a FAULT as a panic.
+    /// A read asked for from outside has not returned by its caller's deadline. As little a FAULT as a panic.
     ReadHung,
-    /// One of its event handlers answered that it failed.
+    /// One of its event handlers returned a failure.
     HandlerFailed,
-    /// The component stamped a sample with a time that is still to come.
+    /// The component stamped a sample with a time in the future.
     StampedAhead,
 }
 
@@ -79,7 +80,7 @@ impl Misuse {
         Misuse::StampedAhead,
     ];
 
-    /// Of those that come with a reason, the place where the last one is kept.
+    /// Index of the last reason, for a misuse that comes with one.
     fn words(self) -> Option<usize> {
         match self {
             Misuse::ReadPanicked => Some(0),
@@ -90,12 +91,12 @@ impl Misuse {
         }
     }
 
-    /// Plugin code went wrong where no instance could be blamed for it: an error, and no FAULT.
+    /// True when plugin code went wrong and no instance could be blamed for it: an error, and no FAULT.
     pub(super) fn is_error(self) -> bool {
         matches!(self, Misuse::ReadPanicked | Misuse::ReadHung)
     }
 
-    /// What is said of it, before how often it happened.
+    /// Text of its warning, before the count.
     pub(super) fn says(self) -> &'static str {
         match self {
             Misuse::AskedToWait => {
@@ -106,7 +107,7 @@ impl Misuse {
             }
             Misuse::ServiceFromStep => "its step asked for services: refused, ask from a command or an event",
             Misuse::Overlap => {
-                "threads of its device that came in while somebody was inside were turned away"
+                "threads of its device that came in while another thread was inside were turned away"
             }
             Misuse::ReadPanicked => "its reads panicked and their callers got FAILED",
             Misuse::ReadHung => "its reads did not come back in time and their callers got DEADLINE",
@@ -119,14 +120,14 @@ impl Misuse {
     }
 }
 
-/// Why one is kept whose handles outlive it.
+/// Reason to keep a component whose handles outlive it.
 pub(super) const HELD: &str =
     "its code still holds ports or host handles of it, in a static or in a thread that did not end";
 
 /// Bytes of a reason that are kept.
 const LAST_WORDS_BYTES: usize = 160;
 
-/// A reason in a place of its own from the beginning.
+/// A reason, with its memory reserved from the beginning.
 pub(super) struct LastWords(Mutex<String>);
 
 impl Default for LastWords {
@@ -138,7 +139,7 @@ impl Default for LastWords {
 impl LastWords {
     /// Real-time.
     pub(super) fn put(&self, text: &[u8]) {
-        // Somebody else is just saying or reading the same.
+        // The lock fails while another thread writes or reads a reason: skipped then.
         if let Ok(mut last) = self.0.try_lock() {
             let text = str::from_utf8(text)
                 .unwrap_or_else(|e| str::from_utf8(&text[..e.valid_up_to()]).unwrap_or_default());
@@ -157,9 +158,10 @@ impl LastWords {
 pub(super) struct Counters {
     misuses: [AtomicU64; Misuse::ALL.len()],
     commands: AtomicU64,
-    /// Commands and events lost in full queues of connections that are gone, and those that never ran before they were cut.
+    /// Commands and events lost in full queues of connections that are gone, and those that never ran before
+    /// they were cut.
     lost_before: [AtomicU64; 2],
-    /// What the last one said, of each misuse that says something.
+    /// Last reason of each misuse that comes with one.
     last_words: [LastWords; 4],
 }
 
@@ -169,12 +171,12 @@ impl Counters {
         self.misuses[what as usize].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Of a misuse that comes with a reason. Real-time.
+    /// Counts a misuse that comes with a reason. Real-time.
     pub(super) fn failed(&self, what: Misuse, text: &[u8]) {
         self.failed_times(what, 1, text);
     }
 
-    /// So many times.
+    /// Counts a misuse so many times.
     pub(super) fn failed_times(&self, what: Misuse, times: u64, text: &[u8]) {
         self.misuses[what as usize].fetch_add(times, Ordering::Relaxed);
         if let Some(last) = what.words().map(|at| &self.last_words[at]) {
@@ -182,7 +184,7 @@ impl Counters {
         }
     }
 
-    /// What was last said with `what`; `None` where nothing ever is.
+    /// Last reason of `what`; `None` for a misuse without reasons.
     pub(super) fn last_words(&self, what: Misuse) -> Option<String> {
         Some(self.last_words[what.words()?].get())
     }
@@ -192,19 +194,19 @@ impl Counters {
         self.commands.store(self.commands.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
     }
 
-    /// How often each of [`Misuse::ALL`] happened so far.
+    /// Counts of [`Misuse::ALL`] so far.
     pub(super) fn misuses(&self) -> [u64; Misuse::ALL.len()] {
         Misuse::ALL.map(|what| self.misuses[what as usize].load(Ordering::Relaxed))
     }
 
-    /// A queue with these losses goes away; they still count.
+    /// Takes over the losses of a queue that goes away; they still count.
     pub(super) fn keep_losses(&self, inbox: &Inbox) {
         let stats = inbox.mailbox.stats();
         let lost = stats.rejected + stats.dropped.saturating_sub(stats.superseded);
         self.lost_before[usize::from(inbox.events)].fetch_add(lost, Ordering::Relaxed);
     }
 
-    /// So many never ran and are thrown out with their queue, which goes away.
+    /// Counts entries that never ran and are thrown out with their queue.
     pub(super) fn lose(&self, inbox: &Inbox, n: u64) {
         self.lost_before[usize::from(inbox.events)].fetch_add(n, Ordering::Relaxed);
     }
@@ -218,41 +220,41 @@ impl Counters {
     }
 }
 
-/// What clients in other processes see of a component.
+/// View of a component for clients in other processes.
 #[derive(Default)]
 struct Faces {
     all: Vec<Arc<Face>>,
-    /// Shared by those that work its reads out themselves.
+    /// Shared by the clients that compute its reads themselves.
     rows: Option<Arc<ShownRows>>,
 }
 
-/// What only the holder of the entry lock touches.
+/// Data that only the holder of the entry lock touches.
 pub(super) struct Inner {
     rows: StateWriter,
-    /// The taps of its rows and of its commands, as its ports are now.
+    /// The taps of its rows and of its commands, by the present ports.
     pub(super) row_tap: Option<Arc<OutCell>>,
     pub(super) command_tap: Option<CommandTap>,
-    /// Stamp, ns, and number of the newest row, where its tap was not told of it yet.
+    /// Stamp, ns, and number of the newest row, if its tap was not told of it yet.
     untold: Option<(u64, u64)>,
-    /// Where results of queued commands are written before they go to the reply cell.
+    /// Room for results of queued commands before they go to the reply cell.
     pub(super) ret: Vec<u64>,
     /// Cycles so far, over all Starts: ticks of rows never go back, or none could be found by its tick.
     pub(super) cycle: u64,
     /// Cycles before the last Start.
     pub(super) cycle_at_start: u64,
-    /// It was started since it was made: there is run-time state to go on with.
+    /// True once it was started after its creation: there is run-time state to go on with.
     pub(super) started: bool,
-    /// Its start or resume was entered, and no stop has come back since.
+    /// True after its start or resume was entered, until a stop returns.
     pub(super) to_stop: bool,
     pub(super) last_begin_ns: u64,
-    /// So many of its next calls are looked at for the rounding mode they leave.
+    /// Number of its next calls after which the rounding mode is checked.
     pub(super) on_trial: u32,
-    /// A thread of the device is inside: what it was doing before.
+    /// Set while a thread of the device is inside: the thread's activity before.
     in_callback: Option<running::Outer>,
 }
 
 impl Inner {
-    /// Tells the tap of the newest row, unless it knows it.
+    /// Tells the tap of the newest row, unless it knows that row.
     fn tell_row(&mut self) {
         if let Some((stamp_ns, row)) = self.untold.take()
             && let Some(tap) = &self.row_tap
@@ -269,7 +271,7 @@ pub(super) struct Instance {
     pub(super) number: u32,
     pub(super) id: ComponentId,
     pub(super) info: Arc<ClassInfo>,
-    /// Its ports as described now.
+    /// The ports by the present description.
     pub(super) described: Described,
     pub(super) object: Object<Inner>,
     pub(super) rows: StateReader,
@@ -279,34 +281,34 @@ pub(super) struct Instance {
     /// Reads from outside.
     pub(super) reading: Reading,
     inboxes: BindingCell<Vec<Arc<Inbox>>>,
-    /// What clients in other processes see of it.
+    /// View for clients in other processes.
     faces: BindingCell<Faces>,
-    /// Some do.
+    /// True when there are such clients.
     faced: AtomicBool,
-    /// Managers change the list one after the other.
+    /// Lets managers change the lists one after the other.
     editing: Mutex<()>,
     pub(super) owed: Owed,
     gate: AtomicU32,
     fault: Mutex<String>,
-    /// What the watchdog looks at.
+    /// State that the watchdog looks at.
     pub(super) watch: Watch,
     /// Rows behind GetState, each a `ComponentStatus`.
     status: Mutex<StateWriter>,
     status_rows: StateReader,
-    /// What the machine granted its thread, and refused it; set once.
+    /// Settings of its thread that the machine granted or refused; set once.
     thread: OnceLock<Arc<Settings>>,
     /// Sentences shown with its state beside those of its thread.
     warnings: Mutex<Vec<String>>,
     /// Threads its own code may have started.
     brood: Mutex<BTreeMap<i32, (String, bool)>>,
-    /// Before its code first ran.
+    /// The moment before its code first ran.
     made: OnceLock<Moment>,
-    /// Required ports whose connection was lost or cut, and from when on it counts as lost, ns.
+    /// Required ports whose connection was lost or cut, and the time from which it counts as lost, ns.
     missing: Mutex<BTreeMap<String, u64>>,
     signalled: Mark,
     /// See [`Instance::teller`].
     teller: AtomicU64,
-    /// It is stopped in order to be removed.
+    /// True while it is stopped in order to be removed.
     going: AtomicBool,
     closed: AtomicBool,
     terms: Terms,
@@ -404,22 +406,22 @@ impl Instance {
         self.executor
     }
 
-    /// What it has asked for and not been answered.
+    /// Services it has asked for that are not answered yet.
     pub(super) fn account(&self) -> &Account {
         &self.host.account
     }
 
-    /// A line of the host's own under this component's name. Real-time.
+    /// Logs a line of the host's own under this component's name. Real-time.
     pub(super) fn log(&self, level: u32, target: &str, text: &str) {
         self.host.logs.push(self.number, level, target.as_bytes(), text.as_bytes());
     }
 
-    /// A line for the host's log about this component, printed by the log thread. Real-time.
+    /// Logs a line for the host's log about this component; the log thread prints it. Real-time.
     pub(super) fn say(&self, level: log::Level, text: &str) {
         self.log(level as u32, super::logs::HOST, text);
     }
 
-    /// Itself, counted; `None` while it is being dropped.
+    /// A counted reference to itself; `None` while it is being dropped.
     pub(super) fn me(&self) -> Option<Arc<Instance>> {
         self.host.instance.get().and_then(std::sync::Weak::upgrade)
     }
@@ -436,12 +438,12 @@ impl Instance {
         self.gate.load(Ordering::SeqCst) == ACTIVE
     }
 
-    /// An entry failed in a way that ends trust in the instance: safe state, FAULT, said everywhere.
+    /// Handles a failure that ends trust in the instance: safe state, FAULT, reported everywhere.
     pub(super) fn fail(&self, entered: &mut Entered<'_>, entry: &str, error: &EntryError) {
         let text = format!("{entry}: {}", error.text);
-        // Nothing more is run, then the device is made safe, and only then the world hears of it.
+        // No more of its code runs, then the device is made safe, and only then the failure is reported.
         let before = self.shut(State::Fault, &text);
-        // Said in there, and there is nothing safer to do.
+        // A failure is reported in there, and there is nothing safer to do.
         let _ = self.make_safe(entered);
         let on_failure = self.on_failure();
         on_failure.map(|said| self.keep_warning(said));
@@ -459,13 +461,15 @@ impl Instance {
     /// Brings the device to its safe condition.
     ///
     /// # Errors
-    /// It did not come there: this was said everywhere, and what moves something, or panicked, is in FAULT.
+    /// The device did not get there: this was reported everywhere, and a component that moves something, or
+    /// panicked, is in FAULT.
     pub(super) fn make_safe(&self, entered: &mut Entered<'_>) -> Result<(), EntryError> {
         let done = self.as_running(Entry::MakeSafe, || entered.make_safe());
         done.inspect_err(|e| self.not_made_safe("make_safe", e))
     }
 
-    /// Does what is owed without a word, where nobody could hear it any more; on its own thread.
+    /// Makes it safe if that is owed, without a report, which no one could receive any more; on its own
+    /// thread.
     pub(super) fn make_safe_silently(&self) {
         if self.watch.owes_safe()
             && let Some(mut entered) = self.object.try_enter()
@@ -479,8 +483,8 @@ impl Instance {
         self.described.reclaim() + self.inboxes.reclaim() + self.faces.reclaim()
     }
 
-    /// Ends the plugin's instance; false when it is left with all it was given: one that somebody still makes
-    /// safe, and one of which handles outlive it, which lead to an answer that nobody is connected.
+    /// Ends the plugin's instance. False when it is left with everything it was given: when another thread
+    /// still makes it safe, or when handles outlive it; those then report that nobody is connected.
     pub(super) fn destroy(&self, entered: &mut Entered<'_>) -> bool {
         let destroyed = self.as_running(Entry::Destroy, || entered.destroy());
         let why = match destroyed {
@@ -494,25 +498,25 @@ impl Instance {
         false
     }
 
-    /// Its code holds ports or host handles that were to go with one of its instances.
+    /// Tells whether its code holds ports or host handles that were to go with one of its instances.
     pub(super) fn holds_on(&self) -> bool {
         self.host.is_held()
     }
 
-    /// Everything that can still reach it is told it is gone.
+    /// Tells everything that can still reach the component that it is gone.
     pub(super) fn close(&self) {
         self.closed.store(true, Ordering::Release);
         self.show_standing();
         self.refuse_queued(PEER_LOST);
     }
 
-    /// It is about to be removed; or it is not after all, and was set going again.
+    /// Notes that it is about to be removed, or that it is not after all and runs again.
     pub(super) fn set_going(&self, going: bool) {
         self.going.store(going, Ordering::Release);
         self.show_standing();
     }
 
-    /// Changes who sees it from other processes; managers only.
+    /// Changes the views for clients in other processes; managers only.
     pub(super) fn edit_faces(&self, f: impl FnOnce(&mut Vec<Arc<Face>>)) {
         let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.faces.enter().all.clone();
@@ -525,13 +529,13 @@ impl Instance {
     /// Its rows for other processes: those that are shown already, or new ones. Managers only.
     ///
     /// # Errors
-    /// The machine has not that much memory, or no file to spare.
+    /// The machine lacks that much memory, or a file descriptor.
     pub(super) fn rows_for_others(&self) -> io::Result<Arc<ShownRows>> {
         let shown = self.faces.enter().rows.clone();
         shown.map_or_else(|| ShownRows::create(self), Ok)
     }
 
-    /// How it stands for whoever calls it.
+    /// State of the component for its callers.
     pub(super) fn standing(&self) -> Standing {
         if self.going.load(Ordering::SeqCst) || self.is_closed() {
             Standing::Gone
@@ -542,7 +546,7 @@ impl Instance {
         }
     }
 
-    /// Shows other processes how it stands, after that has changed.
+    /// Shows other processes its state, after that has changed.
     pub(super) fn show_standing(&self) {
         if self.faced.load(Ordering::SeqCst) {
             self.faces.enter().all.iter().for_each(|face| face.show_standing(self));
@@ -562,32 +566,32 @@ impl Instance {
         }
     }
 
-    /// Shows other processes its figures. The watchdog's.
+    /// Shows other processes its statistics. Watchdog only.
     pub(super) fn show_figures(&self) {
         if self.faced.load(Ordering::Relaxed) {
             self.faces.enter().all.iter().for_each(|face| face.show_figures(self));
         }
     }
 
-    /// Shows other processes where its reads stand, after that has changed.
+    /// Shows other processes the positions of its reads, after they have changed.
     pub(super) fn show_positions(&self) {
         if self.faced.load(Ordering::SeqCst) {
             self.faces.enter().all.iter().for_each(|face| face.show_positions());
         }
     }
 
-    /// What callers get who cannot be served any more: stopped is not ACTIVE, removed is gone. Real-time.
+    /// Outcome for callers that cannot be served any more: stopped is not ACTIVE, removed is gone. Real-time.
     #[cold]
     pub(super) fn turned_away(&self) -> Outcome {
         if self.going.load(Ordering::Acquire) || self.is_closed() { PEER_LOST } else { NOT_ACTIVE }
     }
 
-    /// It is removed, or another instance takes its place; it sends nothing more.
+    /// Tells whether it is removed, or replaced by another instance; it sends nothing more then.
     pub(super) fn is_closed(&self) -> bool {
         self.closed.load(Ordering::Acquire)
     }
 
-    /// Where a restarted or failed component stands after `stop`.
+    /// Sets the state of a restarted or failed component after `stop`.
     pub(super) fn stopped(&self, reason: StopReason) {
         self.set_state(State::Stopped(reason), "");
     }

@@ -1,4 +1,4 @@
-//! What Create, Start, Resume, Stop and Reset do inside a component, on its own thread.
+//! Create, Start, Resume, Stop and Reset inside a component, on its own thread.
 //!
 //! Invariant: an entry that fails leaves the component in FAULT, safe; one that refuses leaves it as it was.
 
@@ -10,7 +10,7 @@ use super::dynamic;
 use super::instance::{CALLS_ON_TRIAL, Entered, Instance};
 use super::supervise::Entry as Inside;
 
-/// What an entry came to: the name of the one that failed, and why.
+/// Result of an entry: on failure the name of the entry, and why.
 pub(super) type Entry = Result<(), (&'static str, EntryError)>;
 
 pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryError) -> Refusal {
@@ -19,7 +19,7 @@ pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryErr
     {
         return no_room.refusal(id);
     }
-    // Who refused to run is in FAULT all the same: see `run`.
+    // A component that refused to run is in FAULT all the same: see `run`.
     if e.refused() && !matches!(entry, "start" | "resume" | "stop") {
         Refusal::ComponentRefused { id: id.clone(), entry, text: e.text }
     } else {
@@ -31,7 +31,7 @@ pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     let inner = entered.inner();
     (inner.started, inner.to_stop) = (false, false);
     entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
-    // What the one before it owed is not this one's.
+    // A debt of the former instance is not this one's.
     instance.watch.takes_owed_safe();
     let bound = dynamic::bind_fresh(instance, entered);
     if bound.is_err() {
@@ -43,8 +43,9 @@ pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     Ok(())
 }
 
-/// The configuration, then the ports that go with it. Refused: the component goes on as before; anything else ends trust. Who
-/// stands as it does, other than in FAULT, was asked before; so was the configuration it had until now.
+/// Applies the configuration, then the ports that go with it. On a refusal the component goes on as before;
+/// any other failure ends trust. The caller has checked that the present state allows it and is not FAULT.
+/// `before`: the former configuration.
 pub(super) fn configure(
     instance: &Instance,
     entered: &mut Entered<'_>,
@@ -72,12 +73,12 @@ pub(super) fn configure(
     if from == to_state && instance.state() == from || instance.set_state_from(from, to_state, "") {
         return Ok(());
     }
-    // Said meanwhile by whoever waited for it: that stands.
+    // The caller that waited has set the state meanwhile: that one holds.
     Err(("configure", too_late(instance.state())))
 }
 
-/// Takes the configuration it had before, and the ports that go with it. What never had one is as good as before: it has to
-/// be configured before it runs.
+/// Takes the former configuration, and the ports that go with it. A component that never had one is as good
+/// as before: it has to be configured before it runs.
 fn goes_back(instance: &Instance, entered: &mut Entered<'_>, before: Option<&str>) -> bool {
     match before {
         None => instance.state() == State::Created,
@@ -99,7 +100,7 @@ pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     run(instance, entered, "start", |e| e.start())
 }
 
-/// One that was made anew since it ran last has nothing to go on with: it is started.
+/// A component that was made anew since it ran last has nothing to go on with: it is started.
 pub(super) fn resume(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     if !entered.inner().started {
         return start(instance, entered);
@@ -125,16 +126,18 @@ fn run(
     if instance.set_state_from(from, State::Active, "") {
         return Ok(());
     }
-    // Somebody else has said meanwhile how it stands, because it took too long: it does not begin to run after that.
+    // Another thread has set the state meanwhile, because this took too long: the component does not begin to
+    // run after that.
     let stands = instance.state();
     stop(instance, entered)?;
     Err((entry, too_late(stands)))
 }
 
-/// Takes a start or resume back that came after its caller had given up: as it was before, and safe.
+/// Reverts a start or resume that ended after its caller had given up: the component is as it was before, and
+/// safe.
 pub(super) fn undo_start(instance: &Instance, entered: &mut Entered<'_>, before: State) {
     if !instance.set_state_from(State::Active, before, "") {
-        // It failed, and that was told.
+        // The component failed, and that was reported.
         return;
     }
     let said = format!("its start took longer than its caller waited: it was stopped again and is {before}");
@@ -143,7 +146,8 @@ pub(super) fn undo_start(instance: &Instance, entered: &mut Entered<'_>, before:
     }
 }
 
-/// Takes a configuration back that came after its caller had given up. What refuses to go back is not trusted.
+/// Reverts a configuration that ended after its caller had given up. A component that refuses to go back is
+/// not trusted.
 pub(super) fn undo_configure(
     instance: &Instance,
     entered: &mut Entered<'_>,
@@ -165,7 +169,7 @@ pub(super) fn undo_configure(
     tell_ports(instance);
 }
 
-/// Has what became of its ports followed up, where nobody waits for it any more.
+/// Has changes of its ports followed up, if no caller waits for them any more.
 pub(super) fn tell_ports(instance: &Instance) {
     instance.described.tell_change();
     instance.look_at_ports();
@@ -191,8 +195,8 @@ pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
     }
 }
 
-/// Destroy, create, configure: an instance that failed is not trusted. Where `outlasted` says that its own threads still run
-/// once it is stopped, it is left to them instead of destroyed.
+/// Destroy, create, configure: an instance that failed is not trusted. If `outlasted` says that its own
+/// threads still run after the stop, it is left to them instead of destroyed.
 pub(super) fn reset(
     instance: &Instance,
     entered: &mut Entered<'_>,

@@ -47,17 +47,18 @@ use super::services::Services;
 use super::store::governed;
 use super::supervise::{Entry, Manners, Roster, Watchdog};
 
-/// Longest wait to get into a component again whose late work has to be taken back, ns.
+/// Longest wait to enter a component again whose late work has to be reverted, ns.
 const UNDO_NS: u64 = 1_000_000_000;
-/// One part in so many of the time there is for a shutdown is for cycles that may look at what was cut.
+/// Part of the time for a shutdown (one in so many) that is for cycles that may still look at cut wires.
 const CYCLES_PART: u32 = 25;
 
-/// What an LCM is made from.
+/// Settings of an LCM.
 pub struct LcmConfig {
     pub process: Name,
-    /// Where classes come from; `None` leaves the process without any.
+    /// Source of classes; `None` leaves the process without any.
     pub classes: Option<Arc<dyn Classes>>,
-    /// Where it listens for other processes of its machine; `None`: its components connect to none of them.
+    /// Socket on which it listens for other processes of its machine; `None`: its components connect to none
+    /// of them.
     pub links: Option<PathBuf>,
     /// Lock the memory of the process, where the machine allows it, else the stacks of components' threads.
     pub lock_memory: bool,
@@ -84,24 +85,23 @@ pub struct LocalLcm {
 struct Held {
     components: BTreeMap<ComponentId, Slot>,
     links: BTreeMap<u64, Arc<Wired>>,
-    /// Removed components in which something may still look at wires that were cut: those wires hold their
-    /// peers.
+    /// Removed components in which a cycle may still look at cut wires: those wires hold their peers.
     leaving: Vec<Arc<Instance>>,
-    /// It shuts down, or has: nothing is made here any more.
+    /// True during and after the shutdown: nothing is made here any more.
     closed: bool,
-    /// Phases as they were given last: what is made anew gets them again.
+    /// Phases as last given: a component that is made anew gets its phase again.
     phases: BTreeMap<ComponentId, Phase>,
 }
 
-/// One component and where it runs.
+/// One component and its thread.
 #[derive(Clone)]
 struct Slot {
     instance: Arc<Instance>,
     executor: Arc<Executor>,
     execution: Execution,
-    /// Configuration it was last given, for Reset.
+    /// Last configuration given, for Reset.
     config: Option<String>,
-    /// The place in its period that it was given, where nobody asked for one.
+    /// The phase it was given, when none was asked for.
     phase: Option<Phase>,
 }
 
@@ -110,14 +110,14 @@ impl Slot {
         Here::new(self.instance.clone(), self.executor.clone())
     }
 
-    /// Where it stands among those that share its thread, and when it steps.
+    /// Place among the members of its thread, and when it steps.
     fn place(&self, number_of: impl Fn(&str) -> Option<u32>) -> (Place, Follow) {
         if self.execution.stream_of.is_some() {
             return (Place::Alone, Follow::Input);
         }
         match self.execution.inside.as_deref() {
             None => (Place::Alone, Follow::Thread),
-            // Whoever it runs inside of is gone: it waits for another, without steps.
+            // The component it runs inside of is gone: it waits for another one, without steps.
             Some(host) => match number_of(host) {
                 None => (Place::Alone, Follow::Member(0)),
                 Some(host) if self.execution.model == Some(ExecutionModel::ExecOut) => {
@@ -139,7 +139,7 @@ impl LocalLcm {
         let memory = if config.lock_memory { Memory::lock() } else { Memory::default() };
         let roster = Arc::new(Roster::default());
         let news = hub.news.clone();
-        // Nobody listening is fine: the inventory has it.
+        // A failure is fine without listeners: the inventory has the half.
         let tell = move |half| _ = news.send(News::Half(half));
         let carriers = Carriers::start(hub.process.as_str(), config.links, tell, hub.ports.clone())?;
         let lcm = Arc::new(LocalLcm {
@@ -190,7 +190,7 @@ impl LocalLcm {
         self.hub.desk.open(services, Arc::downgrade(self))
     }
 
-    /// The thread a component runs on; `None` when it is gone.
+    /// The thread a component runs on; `None` when the component is gone.
     pub(super) fn executor_of(&self, instance: &Instance) -> Option<Arc<Executor>> {
         let held = self.held();
         let slot = held.components.get(&instance.id)?;
@@ -202,33 +202,33 @@ impl LocalLcm {
         classes.catalog().into_iter().map(|class| governed(class, self.allow_exec)).collect()
     }
 
-    /// Whether a component of the class may be made here, by this process's own list: a GCM may not have
-    /// heard it yet, or mean ill.
+    /// Checks whether a component of the class may be made here, by this process's own list: a GCM may not
+    /// know it yet, or may be malicious.
     fn lets_in(&self, classes: &dyn Classes, class: &ClassInfo) -> Result<(), Refusal> {
         let offered = self.offered(classes);
         let same = |c: &&Arc<ClassInfo>| c.hash == class.hash && c.full_name() == class.full_name();
         if let Some(own) = offered.iter().find(same) {
             return own.is_let_into(&self.hub.process);
         }
-        // Its file has gone, and its code is here still.
+        // Its file is gone, but its code is still here.
         governed(Arc::new(class.clone()), self.allow_exec).is_let_into(&self.hub.process)
     }
 
-    /// Tells everyone that the plugin directories offer something else now.
+    /// Reports that the plugin directories offer other classes now.
     pub fn catalog_changed(&self) {
         if let Some(classes) = &self.classes {
-            // Nobody listening is fine: the inventory has it.
+            // A failure is fine without listeners: the inventory has the classes.
             let _ = self.hub.news.send(News::Catalog(self.offered(classes.as_ref())));
         }
     }
 
-    /// Warns of the process itself from now on; nothing: not of this any more.
+    /// Warns of the process itself from now on; `None`: ends the warning.
     pub fn warn(&self, of: Concern, warning: Option<String>) {
         self.hub.warn(of, warning);
     }
 
-    /// Stops everything, devices safe first, then removes it; what is asked for meanwhile or later is not
-    /// made. Bounded: what does not come back in `within` is left.
+    /// Stops everything, devices safe first, then removes it; requests that come meanwhile or later make
+    /// nothing. Bounded: a component that does not return within `within` is left.
     pub async fn shutdown(&self, within: Duration) {
         // A component that is stopped here cannot have another one started.
         self.hub.desk.close();
@@ -284,7 +284,7 @@ impl LocalLcm {
         }
     }
 
-    /// Numbers of all connections that end here.
+    /// Numbers of all connections that end in this process.
     fn connections(&self) -> Vec<u64> {
         let here = self.held().links.keys().copied().collect::<Vec<_>>();
         let far = self.carriers.halves().flat_map(|halves| halves.connections());
@@ -304,7 +304,7 @@ impl LocalLcm {
         self.hub.buried()
     }
 
-    /// A line of the process itself, for whoever reads the log.
+    /// Sends a line of the process itself to the readers of the log.
     pub fn tell_line(&self, line: LogLine) {
         let _ = self.hub.news.send(News::Log(line));
     }
@@ -328,8 +328,8 @@ impl LocalLcm {
         self.inside_or(slot, entry, deadline, f, |_, _, _| ()).await
     }
 
-    /// As `inside`; when `f` comes back only after its caller has given up, `undo` takes back what it did, so
-    /// that what was answered stays true.
+    /// As `inside`; when `f` returns only after its caller has given up, `undo` reverts it, so that the
+    /// answer stays true.
     async fn inside_or<R: Send + 'static>(
         &self,
         slot: &Slot,
@@ -339,7 +339,7 @@ impl LocalLcm {
         undo: impl FnOnce(&Instance, &mut Entered<'_>, R) + Send + 'static,
     ) -> Result<R, Refusal> {
         let (tell, mut told) = oneshot::channel();
-        // Whoever comes first, the end of the work or that of the patience, decides what is true.
+        // The first of the two decides the result: the end of the work or that of the patience.
         let decided = Arc::new(AtomicBool::new(false));
         let first = decided.clone();
         let instance = slot.instance.clone();
@@ -348,7 +348,7 @@ impl LocalLcm {
                 .unwrap_or(u64::MAX / 2),
         );
         slot.executor.submit(move |_| {
-            // The caller has given up: what was asked is not done any more.
+            // The caller has given up: the work is not done any more.
             if tell.is_closed() {
                 return;
             }
@@ -360,7 +360,7 @@ impl LocalLcm {
                 let mut late = Some(result);
                 if !first.swap(true, Ordering::AcqRel) {
                     instance.leave(entered);
-                    // Given back when the caller's whole request was dropped.
+                    // The result comes back when the caller's whole request was dropped.
                     late = late.and_then(|result| tell.send(result).err());
                     if late.is_none() {
                         return;
@@ -381,7 +381,7 @@ impl LocalLcm {
         match tokio::time::timeout_at(deadline.into(), &mut told).await {
             Ok(Ok(result)) => return Ok(result),
             Ok(Err(_)) => {}
-            // It ended in this very moment: its result is on the way.
+            // The work ended in this very moment: its result is on the way.
             Err(_) if decided.swap(true, Ordering::AcqRel) => {
                 if let Ok(result) = told.await {
                     return Ok(result);
@@ -441,7 +441,7 @@ impl Lcm for LocalLcm {
                 }
             }
         };
-        // What was known before is shown with the component, not again with every answer.
+        // Earlier warnings are shown with the component, not again with every answer.
         done.map(|mut report| {
             report.warnings.retain(|warning| !stood.contains(warning));
             report

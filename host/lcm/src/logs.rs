@@ -1,4 +1,5 @@
-//! Log lines of components: a bounded ring written from any thread, drained and printed by one of the LCM's own.
+//! Log lines of components: a bounded ring written from any thread, drained and printed by one of the LCM's
+//! own.
 //!
 //! Invariant: writing never waits or allocates; lines that did not fit are counted and the count is logged.
 
@@ -15,9 +16,10 @@ use trocar_rt::wake::Waker;
 
 use trocar_lcm_api::{LogLine, News};
 
-/// Lines the ring holds.
+/// Most lines in the ring.
 const DEPTH: usize = 1024;
-/// Target of the host's own lines about a component: printed only, since their event and news go out with what they tell of.
+/// Target of the host's own lines about a component: only printed, since their event and news are sent with
+/// the change they tell of.
 pub(super) const HOST: &str = "trocar::lcm";
 /// Bytes of target and message together; the rest is cut.
 const LINE_BYTES: usize = 504;
@@ -33,7 +35,7 @@ pub(super) struct LogRing {
 #[derive(Default)]
 struct Names {
     known: BTreeMap<u32, ComponentId>,
-    /// Components that are gone: their names are kept for lines they have left in the ring.
+    /// Components that are gone: their names are kept for their last lines in the ring.
     gone: Vec<u32>,
 }
 
@@ -52,7 +54,7 @@ impl LogRing {
         self.names.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Names a component, or says that it is gone.
+    /// Names a component, or notes that it is gone.
     pub(super) fn name(&self, number: u32, id: Option<&ComponentId>) {
         let mut names = self.names();
         match id {
@@ -63,7 +65,7 @@ impl LogRing {
         self.waker.notify();
     }
 
-    /// Forgets the names of those that were gone before all lines there are were printed.
+    /// Forgets the names of components that were gone before all lines were printed.
     fn forget(&self, gone: Vec<u32>) {
         let mut names = self.names();
         if self.mailbox.is_empty() {
@@ -98,14 +100,14 @@ impl LogRing {
         }
     }
 
-    /// Prints and forwards lines until [`LogRing::close`]; the body of the LCM's log thread. `note` sees every line
-    /// of level info and above with the number of its component.
+    /// Prints and forwards lines until [`LogRing::close`]; the body of the LCM's log thread. `note` gets
+    /// every line of a component of level info and above, with the number of the component.
     pub(super) fn run(&self, process: &str, news: &broadcast::Sender<News>, note: impl Fn(u32, u32, &str)) {
         loop {
             let print = |head: EntryHead, line: &[u8]| {
                 let line = self.line(process, &head, line);
                 log::log!(target: "component", level(line.level), "{}: {}", line.path, line.message);
-                // What the host says of a component it tells as an event itself.
+                // The host itself sends its own lines about a component as an event.
                 if line.target != HOST && line.level <= 3 {
                     note(head.index, line.level, &line.message);
                 }
@@ -165,7 +167,7 @@ fn wall_ns() -> u64 {
 mod tests {
     use super::*;
 
-    /// What a ring prints that was told so.
+    /// Lines that a ring prints after `tell`.
     fn printed(tell: impl FnOnce(&LogRing)) -> Vec<LogLine> {
         let (ring, (news, mut told)) = (LogRing::new(), broadcast::channel(64));
         log::set_max_level(log::LevelFilter::Info);

@@ -1,12 +1,13 @@
-//! The order in which components of one thread are stepped: along their streams, else as they were created; what runs inside
-//! another stands right before it (`exec_in`) or right after it (`exec_out`).
+//! The order in which components of one thread step: along their streams, else as they were created; a
+//! component that runs inside another one stands right before it (`exec_in`) or right after it (`exec_out`).
 //!
-//! Invariant: pure; every member appears once; a cycle keeps creation order, so it costs one cycle of delay and no more.
+//! Invariant: pure; every member appears once; a cycle keeps creation order, so it costs one cycle of delay
+//! and no more.
 
-/// Where a member stands beside others of its thread.
+/// Place of a member among the others of its thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// For itself.
+    /// On its own.
     Alone,
     /// Inside another, before it.
     Before(u32),
@@ -23,8 +24,9 @@ impl Place {
     }
 }
 
-/// `members` are (number, place), numbers in the order of creation; `streams` are (producer, consumer), others than members
-/// are ignored. A member whose parent is none of them stands for itself.
+/// Sorts the members. `members` are (number, place), numbers in the order of creation; `streams` are
+/// (producer, consumer), numbers that are no members are ignored. A member whose parent is no member stands
+/// on its own.
 pub(super) fn along(members: &[(u32, Place)], streams: &[(u32, u32)]) -> Vec<u32> {
     let known = |number: u32| members.iter().any(|(m, _)| *m == number);
     let mut all: Vec<(u32, Place)> = members
@@ -36,17 +38,17 @@ pub(super) fn along(members: &[(u32, Place)], streams: &[(u32, u32)]) -> Vec<u32
     all.sort_unstable_by_key(|(number, _)| *number);
     let mut sorted = Vec::with_capacity(all.len());
     family(&all, streams, &|place| place == Place::Alone, &mut sorted);
-    // Whoever names itself through others has no place above it: at the end, as created.
+    // A member whose chain of parents is a circle has no place above it: it comes at the end, as created.
     let lost: Vec<u32> = all.iter().map(|(n, _)| *n).filter(|n| !sorted.contains(n)).collect();
     sorted.extend(lost);
     sorted
 }
 
-/// Appends the members at `here` along their streams, each between those that run inside it.
+/// Appends the members at `here` along their streams, each between the members that run inside it.
 fn family(all: &[(u32, Place)], streams: &[(u32, u32)], here: &dyn Fn(Place) -> bool, sorted: &mut Vec<u32>) {
     let mut left: Vec<u32> =
         all.iter().filter(|(_, place)| here(*place)).map(|(number, _)| *number).collect();
-    // A stream between two that run inside others orders those they run inside.
+    // A stream between two members that run inside others orders those they run inside.
     let edges: Vec<(u32, u32)> = streams
         .iter()
         .filter_map(|(from, to)| Some((above(all, &left, *from)?, above(all, &left, *to)?)))
@@ -64,7 +66,7 @@ fn family(all: &[(u32, Place)], streams: &[(u32, u32)], here: &dyn Fn(Place) -> 
     }
 }
 
-/// The one of `level` that `member` is or runs inside of, directly or through others.
+/// The member of `level` that `member` is or runs inside of, directly or through others.
 fn above(all: &[(u32, Place)], level: &[u32], member: u32) -> Option<u32> {
     let mut at = member;
     for _ in 0..=all.len() {

@@ -1,7 +1,8 @@
 //! State rows that are published a little later: after inline commands of the thread that runs the component.
 //!
-//! Invariant: nobody can tell. A row is out before this thread reads it, before anything leaves this thread for another
-//! one, and at the end of the cycle. `Instance::owed` is set only while the instance stands in its thread's list.
+//! Invariant: the delay cannot be noticed. A row is published before this thread reads it, before anything
+//! leaves this thread for another one, and at the end of the cycle. `Instance::owed` is set only while the
+//! instance stands in its thread's list.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -9,7 +10,7 @@ use std::sync::Arc;
 use super::context;
 use super::instance::Instance;
 
-/// Components a thread may owe a row at once; one more makes it publish all.
+/// Most components a thread may owe a row at once; one more makes it publish all.
 const MOST: usize = 16;
 
 thread_local! {
@@ -17,10 +18,10 @@ thread_local! {
     static OWED: RefCell<[Option<Arc<Instance>>; MOST]> = const { RefCell::new([const { None }; MOST]) };
 }
 
-/// Leaves the row of a component of this thread for later; false where it has to be published now.
+/// Defers the row of a component of this thread; false where it has to be published now.
 #[inline]
 pub(super) fn later(instance: &Instance) -> bool {
-    // Set by the thread that runs it alone, so whoever finds it set while inside is that thread.
+    // Set only by the thread that runs it: a thread that is inside and finds it set is that thread.
     instance.state_bytes == 0 || instance.owed.get() || enlist(instance)
 }
 
@@ -41,7 +42,7 @@ fn enlist(instance: &Instance) -> bool {
     true
 }
 
-/// Publishes what is owed.
+/// Publishes the rows this thread owes.
 #[inline]
 pub(super) fn publish() {
     if COUNT.get() > 0 {
@@ -49,7 +50,7 @@ pub(super) fn publish() {
     }
 }
 
-/// Publishes what is owed for this component, if it is this thread that owes it.
+/// Publishes the row of this component, and all others this thread owes, if this thread owes it.
 #[inline]
 pub(super) fn publish_of(instance: &Instance) {
     if instance.owed.get() && COUNT.get() > 0 && context::executor() == instance.executor_id() {
@@ -62,17 +63,17 @@ fn publish_all() {
     for at in 0..COUNT.replace(0) {
         let Some(instance) = OWED.with_borrow_mut(|owed| owed[at].take()) else { continue };
         if !instance.owed.take() {
-            // Out by another way: a step, or an answer.
+            // Published in another way: by a step, or for an answer.
             continue;
         }
-        // Somebody inside it owes the row again on leaving.
+        // A thread inside it owes the row again on leaving.
         if let Some(mut entered) = instance.object.try_enter() {
             instance.publish_state(&mut entered);
         }
     }
 }
 
-/// Whether a thread owes this component's row; written by the thread that runs it.
+/// Tells whether a thread owes this component's row; written by the thread that runs it.
 #[derive(Default)]
 pub(super) struct Owed(std::sync::atomic::AtomicBool);
 
@@ -85,7 +86,7 @@ impl Owed {
         self.0.store(owed, std::sync::atomic::Ordering::Relaxed);
     }
 
-    /// The row is out; whether it was owed.
+    /// Notes that the row is published; returns whether it was owed.
     pub(super) fn take(&self) -> bool {
         let owed = self.get();
         self.set(false);

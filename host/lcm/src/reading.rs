@@ -1,8 +1,9 @@
-//! Class reads asked for from outside: plugin code, run in threads apart, so that one that does not come back takes nobody
-//! with it.
+//! Class reads from outside: plugin code on separate threads, so that a read that does not return blocks no
+//! other thread.
 //!
-//! Invariant: the reads of one component have at most [`PLACES`] threads, whatever is asked, and each caller is answered by
-//! its time. The threads are no runtime's: none of them is waited for when a runtime or a process ends.
+//! Invariant: the reads of one component have at most [`PLACES`] threads, whatever is asked, and each caller
+//! is answered by its deadline. The threads belong to no runtime: none of them is waited for when a runtime
+//! or a process ends.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
@@ -19,16 +20,16 @@ use super::calling::GRACE;
 use super::instance::Misuse;
 use super::realtime::STACK_BYTES;
 
-/// Threads the reads of one component may have at once: one may be slow, and the others are still answered.
+/// Most threads the reads of one component have at once: one may be slow, and the others are still answered.
 const PLACES: usize = 2;
-/// Threads that are kept for the next reads of whichever component.
+/// Idle threads that are kept for the next reads of any component.
 const IDLE: usize = 2;
 
 /// The reads of one component that are under way.
 pub(super) struct Reading {
     places: Arc<Semaphore>,
     tickets: AtomicU64,
-    /// Given up and not come back.
+    /// Reads that were given up and have not returned.
     late: Mutex<Vec<Late>>,
 }
 
@@ -51,7 +52,7 @@ impl Reading {
         self.late.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Refuses a read of which an earlier one has not come back, and any where all threads are taken by such.
+    /// Refuses a read if an earlier one of it has not returned, and any read if such reads take all threads.
     fn refuse(&self, member: &MemberId, name: &str) -> Result<(), Refusal> {
         let late = self.late();
         let full = late.len() >= PLACES;
@@ -67,7 +68,7 @@ impl Reading {
     /// Notes a read as late, unless its answer has come in this very moment.
     fn give_up(&self, late: Late, answer: &mut oneshot::Receiver<Answer>) -> Option<Answer> {
         let mut all = self.late();
-        // Whoever answers takes himself off this list afterwards.
+        // The thread that answers removes its read from this list afterwards.
         let answer = answer.try_recv().ok();
         if answer.is_none() {
             all.push(late);
@@ -80,7 +81,7 @@ impl Reading {
     }
 }
 
-/// One read, as it was asked for.
+/// One read request.
 pub(super) struct Asked {
     pub(super) member: MemberId,
     /// Exact bytes of its argument's type.
@@ -89,10 +90,10 @@ pub(super) struct Asked {
     pub(super) deadline_ns: u64,
 }
 
-/// Answers a class's read. A caller who leaves early does not end it: it is noted as late all the same.
+/// Answers a class's read. A caller that leaves early does not end it: it is noted as late all the same.
 ///
 /// # Errors
-/// DEADLINE when it has not come back; COMMAND_FAILED at once where an earlier one has not; NoThread.
+/// DEADLINE when it has not returned; COMMAND_FAILED at once where an earlier one has not; NoThread.
 pub(super) async fn answer(read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
     let member = asked.member.clone();
     let bounded = tokio::spawn(bounded(read, asked));
@@ -115,12 +116,12 @@ async fn bounded(read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
     let Ok(Ok(place)) = timeout_at(until.into(), reading.places.clone().acquire_owned()).await else {
         return Err(deadline(false));
     };
-    // Whoever had the place may have been found late meanwhile.
+    // The former holder of the place may have been found late meanwhile.
     reading.refuse(&member, &name)?;
     let ticket = reading.tickets.fetch_add(1, Ordering::Relaxed);
     let (tell, mut told) = oneshot::channel();
     let run = move || {
-        // Who asked may have given up.
+        // A failure means that the caller has given up.
         let _ = tell.send(read.answer(&arg, ret_bytes));
         read.server.reading.came_back(ticket);
         drop(place);
@@ -156,7 +157,7 @@ impl Readers {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs `job` on a thread that does nothing else, or on a new one.
+    /// Runs `job` on an idle thread, or on a new one.
     ///
     /// # Errors
     /// The machine gives no more threads.
@@ -181,7 +182,7 @@ impl Readers {
                 idle.push(give);
                 drop(idle);
                 drop(readers);
-                // Without the LCM there is no next one.
+                // Without the LCM there is no next job.
                 match given.recv() {
                     Ok(next) => job = next,
                     Err(_) => return,

@@ -1,6 +1,8 @@
-//! Real-time settings of threads and of the process: what is asked, what the machine grants, what is said about the rest.
+//! Real-time settings of threads and of the process: requests, grants of the machine, warnings about
+//! refusals.
 //!
-//! Invariant: a component runs whatever is refused; every refusal becomes a warning that says what to do about it.
+//! Invariant: a component runs whatever is refused; every refusal becomes a warning that says what to do
+//! about it.
 
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -12,29 +14,31 @@ use trocar_rt::team::Team;
 /// Stack of a component's thread, bytes.
 pub(super) const STACK_BYTES: usize = 1 << 20;
 
-/// Begins the names of threads that help a stream; no component's name does.
+/// Prefix of the names of threads that help a stream; no component's name has it.
 pub(super) const HELPER: &str = "+";
 
 /// Bytes of a thread's name the kernel keeps.
 pub(super) const NAME_BYTES: usize = 15;
 
-/// Bytes of its stack, from the top, that a thread touches and locks when the process could not lock everything.
+/// Bytes of its stack, from the top, that a thread touches and locks when the process could not lock
+/// everything.
 const LOCKED_STACK: usize = 128 << 10;
 
-/// How much of the process's memory is locked.
+/// Locked part of the process's memory.
 #[derive(Clone, Debug, Default)]
 pub(super) enum Memory {
-    /// Nobody asked for it.
+    /// Locking was not asked for.
     #[default]
     Loose,
-    /// All of it, future memory too.
+    /// All memory, also future memory.
     All,
     /// Frame pools and the upper [`LOCKED_STACK`] of each thread's stack only, and why not all.
     Stacks(String),
 }
 
 impl Memory {
-    /// Locks what the machine allows. All of it only where that cannot make later threads and mappings fail.
+    /// Locks the memory that the machine allows. All of it only if that cannot make later threads and
+    /// mappings fail.
     pub(super) fn lock() -> Memory {
         match os::lock_memory() {
             Ok(()) => Memory::All,
@@ -42,22 +46,22 @@ impl Memory {
         }
     }
 
-    /// What is used on a step has to be locked piece by piece.
+    /// Tells whether memory used on a step has to be locked piece by piece.
     pub(super) fn is_in_pieces(&self) -> bool {
         matches!(self, Memory::Stacks(_))
     }
 }
 
-/// What a thread was granted.
+/// Settings that a thread was granted.
 #[derive(Default)]
 pub(super) struct Settings {
     warnings: Mutex<Vec<String>>,
     realtime: AtomicBool,
     /// SCHED_FIFO priority that was granted; 0 = normal scheduling.
     priority: AtomicU8,
-    /// How the thread stood before any component ran on it.
+    /// State of the thread before any component ran on it.
     hygiene: OnceLock<Hygiene>,
-    /// It was asked to put its signal mask back and has not come to it yet.
+    /// True while the thread was asked to restore its signal mask and has not done so yet.
     pub(super) mask_due: AtomicBool,
 }
 
@@ -88,7 +92,7 @@ impl Settings {
         });
     }
 
-    /// The same for a thread that helps; the stream's own thread says why not all is locked.
+    /// Locks the stack of a helping thread likewise; the stream's own thread reports why not all is locked.
     fn lock_helper(&self, helper: usize, memory: &Memory) {
         if memory.is_in_pieces()
             && let Err(e) = lock_stack()
@@ -112,7 +116,7 @@ impl Settings {
         self.realtime.load(Ordering::Relaxed)
     }
 
-    /// How its thread should stand; `None` before it ran.
+    /// Expected state of its thread; `None` before it ran.
     pub(super) fn hygiene(&self) -> Option<Hygiene> {
         self.hygiene.get().copied()
     }
@@ -132,7 +136,7 @@ fn lock_stack() -> Result<(), os::OsError> {
     os::lock_region(stack.as_ptr(), stack.len())
 }
 
-/// Priority and processors of the calling thread; true when it is a real-time thread now.
+/// Sets priority and processors of the calling thread; true when it is a real-time thread now.
 fn schedule(execution: &Execution, warnings: &mut Vec<String>) -> bool {
     let mut realtime = false;
     if let Some(priority) = execution.priority {
@@ -151,8 +155,8 @@ fn schedule(execution: &Execution, warnings: &mut Vec<String>) -> bool {
     realtime
 }
 
-/// The threads that share the work of a stream; `None` when one is enough. Helpers run as their stream's own thread does,
-/// whose settings are `of`.
+/// The threads that share the work of a stream; `None` when one is enough. Helpers run with the settings of
+/// their stream's own thread, which are `of`.
 ///
 /// # Errors
 /// The machine gives no more threads.
@@ -169,7 +173,7 @@ pub(super) fn team(
     let (name, execution, memory) = (name.to_owned(), execution.clone(), memory.clone());
     let team = Team::new(threads, move |helper| {
         os::set_thread_name(&format!("{HELPER}{helper} {name}"));
-        // The stream's own thread says what was refused; it asks for the same.
+        // The stream's own thread reports refusals; it asks for the same.
         schedule(&execution, &mut Vec::new());
         of.lock_helper(helper, &memory);
     })?;

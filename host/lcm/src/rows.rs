@@ -1,4 +1,5 @@
-//! Rows of a state table from outside: the newest, one of a tick, one some rows back, or the values at a time.
+//! Rows of a state table for readers outside: the newest, that of a tick, one some rows back, or the values
+//! at a time.
 //!
 //! Invariant: never waits and never enters the instance; a time between two rows is answered by
 //! [`trocar_model::interpolate`], a time outside the kept rows is refused and never guessed.
@@ -8,20 +9,20 @@ use trocar_rt::state::{Miss, RowInfo, StateReader};
 
 use trocar_lcm_api::When;
 
-/// A row, or what lies between two, with its stamp and tick.
+/// A row, or the values between two rows, with stamp and tick.
 pub(super) struct Row {
     pub(super) bytes: Vec<u8>,
-    /// Of the row; the time that was asked for where it lies between two.
+    /// Stamp of the row; between two rows the time that was asked for.
     pub(super) stamp_ns: u64,
-    /// Of the row; of the earlier one where it lies between two.
+    /// Tick of the row; between two rows that of the earlier one.
     pub(super) tick: u64,
 }
 
-/// Nothing while no row was published and the newest is asked for.
+/// Reads a row; `None` for the newest while no row was published.
 ///
 /// # Errors
-/// ArgumentInvalid where that row is not there, not there any more, or not there yet; what `misfit` says of rows that the
-/// component made and that have nothing in between.
+/// ArgumentInvalid if that row does not exist, does not exist any more, or not yet; the refusal of `misfit`
+/// for rows of the component without values in between.
 pub(super) fn read(
     rows: &StateReader,
     ty: &Type,

@@ -1,8 +1,8 @@
-//! Dynamic component services: a component asks, from its own code, for what the GCM offers to everybody.
+//! Dynamic component services: a component's own code asks for services that the GCM offers to everybody.
 //!
-//! Invariant: asking never waits, locks or allocates on the asking thread, so commands and event handlers of a real-time
-//! thread may ask; `step` may not. A reply is handed over between two steps, by the component's own thread, or dropped when
-//! the instance that asked is gone.
+//! Invariant: asking never waits, locks or allocates on the asking thread, so commands and event handlers of
+//! a real-time thread may ask; `step` may not. A reply is handed over between two steps, by the component's
+//! own thread, or dropped when the instance that asked is gone.
 
 mod verb;
 
@@ -34,21 +34,21 @@ const OUTSTANDING: u32 = 64;
 const DEPTH: usize = 64;
 /// Longest request, bytes.
 const REQUEST_BYTES: usize = 16 << 10;
-/// How long a reply waits for somebody who is inside the component, ns, before it lines up again.
+/// Longest wait of a reply for a thread inside the component, ns, before it queues again.
 const PATIENCE_NS: u64 = 20_000_000;
-/// How often a reply lines up before it is given up.
+/// Number of times a reply queues before it is given up.
 const ATTEMPTS: u32 = 500;
 
 /// Takes the reply, as JSON; called once, from any thread.
 pub type ReplyTo = Box<dyn FnOnce(String) + Send>;
 
-/// What carries out the requests of components; put into an LCM from above, see [`LocalLcm::offer_services`].
+/// Executor of the components' requests; given to an LCM from above, see [`LocalLcm::offer_services`].
 pub trait Services: Send + Sync {
-    /// Begins to carry `request` out, a JSON object with its verb, and comes back at once.
+    /// Begins to carry out `request`, a JSON object with its verb, and returns at once.
     fn request(&self, from: ComponentId, request: String, reply: ReplyTo);
 }
 
-/// Where the components of one LCM leave their requests.
+/// Queue of the requests of one LCM's components.
 pub(super) struct Desk {
     requests: Mailbox,
     waker: Arc<Waker>,
@@ -67,12 +67,12 @@ pub(super) struct Account {
 }
 
 impl Account {
-    /// A new instance is ready: replies to what an earlier one asked are dropped from now on.
-    /// How many instances were made so far.
+    /// Number of instances made so far.
     pub(super) fn made(&self) -> u32 {
         self.made.load(Ordering::Acquire)
     }
 
+    /// Counts a new instance that is ready: replies to requests of an earlier one are dropped from now on.
     pub(super) fn made_anew(&self) {
         self.made.fetch_add(1, Ordering::AcqRel);
     }
@@ -193,7 +193,7 @@ fn check(request: &[u8]) -> Result<(), &'static str> {
 /// A request whose reply has not been handed over.
 struct Pending {
     instance: Weak<Instance>,
-    /// Which of the component's instances asked.
+    /// Number of the component's instance that asked.
     made: u32,
     token: u64,
 }
@@ -206,7 +206,7 @@ impl Drop for Pending {
     }
 }
 
-/// Lines a reply up behind what the component's thread has to do.
+/// Queues a reply behind the jobs of the component's thread.
 fn hand_over(instance: Arc<Instance>, executor: &Arc<Executor>, pending: Pending, reply: String, left: u32) {
     let (here, runs_on) = (executor.clone(), Arc::downgrade(executor));
     here.submit(move |_| {
@@ -223,7 +223,7 @@ fn hand_over(instance: Arc<Instance>, executor: &Arc<Executor>, pending: Pending
             return;
         };
         let token = pending.token;
-        // Its place is free before it may ask again.
+        // Frees its place before the component may ask again.
         drop(pending);
         match instance.as_running(Entry::Service, || entered.on_service(token, &reply)) {
             Ok(()) => instance.publish_state(&mut entered),

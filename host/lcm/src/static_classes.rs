@@ -1,7 +1,7 @@
 //! Classes linked into the program, alone or together with those of plugin files.
 //!
-//! Invariant: a linked class has the hash ""; a file that offers a plugin of the same name as a linked one is shown as
-//! refused, so a name never means two things.
+//! Invariant: a linked class has the hash ""; a file that offers a plugin of the same name as a linked one is
+//! shown as refused, so a name never means two things.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use trocar_plugin_api::abi::StaticPlugin;
 use super::boundary::{self, LoadedClass};
 use super::classes::Classes;
 
-/// What stands where a plugin of a file has its path.
+/// Stands in place of the path of a plugin's file.
 pub const LINKED_IN: &str = "(linked in)";
 
 /// Plugins linked into this program as a source of classes.
@@ -49,7 +49,7 @@ impl StaticClasses {
         Ok(StaticClasses { process, plugins: linked })
     }
 
-    /// These classes, and those of files whose plugin has another name.
+    /// Adds the classes of files whose plugin has another name.
     pub fn and(self, files: Arc<dyn Classes>) -> Arc<dyn Classes> {
         Arc::new(Both { linked: self, files })
     }

@@ -1,4 +1,4 @@
-//! Stopping what runs here without anybody's plan: when the GCM is elsewhere, or nobody.
+//! Stops the components here without a plan: when the GCM is elsewhere, or when there is none.
 //!
 //! Invariant: one component that cannot be stopped keeps no other from being stopped.
 
@@ -13,11 +13,11 @@ use trocar_lcm_api::{Lcm, Report};
 /// The outcome of one component.
 pub type Stopped = (ComponentId, Result<Report, Refusal>);
 
-/// Stops every ACTIVE component that `which` names, all at once; answers what came of each, in the order of
-/// their names.
+/// Stops every ACTIVE component that `which` names, all at once; returns the results in the order of their
+/// names.
 ///
 /// # Errors
-/// The LCM does not say what it has.
+/// The LCM does not tell its components.
 pub async fn stop_active(
     lcm: &Arc<dyn Lcm>,
     which: impl Fn(&ComponentId) -> bool,

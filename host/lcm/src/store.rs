@@ -1,6 +1,6 @@
 //! Classes from plugin files: the loader's store in the model's words.
 //!
-//! Invariant: a class is created only from the very file content the graph was told of (same hash).
+//! Invariant: a class is created only from the very file content that was reported to the graph (same hash).
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,7 +14,7 @@ use super::boundary;
 use super::boundary::LoadedClass;
 use super::classes::Classes;
 
-/// What the classes of one file look like, or why they cannot be used.
+/// Classes of one file, or the reason why they cannot be used.
 type Converted = Result<Vec<Arc<ClassInfo>>, String>;
 
 /// A plugin store as a source of classes.
@@ -98,7 +98,7 @@ impl Classes for StoreClasses {
         let plugin = plugins.iter().filter_map(PluginEntry::listed).find(|plugin| plugin.hash == loaded)?;
         let classes = self.converted(plugin).as_ref().clone().ok()?;
         let class = classes.into_iter().find(|class| class.full_name() == name)?;
-        // Another file of that name may be there by now: then this one is as good as gone.
+        // Another file of that name may be there by now: then this one counts as gone.
         let found = self.load(&class).ok()?;
         Some((class, found))
     }

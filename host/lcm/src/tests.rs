@@ -1,4 +1,4 @@
-//! The LCM with components whose entries are tests' own closures: a small world to run them in.
+//! The LCM with components whose entries are closures of the tests: a small world to run them in.
 #![allow(clippy::unwrap_used)]
 
 mod allocations;
@@ -41,7 +41,7 @@ use super::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use super::{Classes, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
 use crate::watchdog::Watchdog;
 
-/// Deadline of what is asked of the LCM and should be answered soon; a failure, not a speed limit.
+/// Deadline of LCM requests that should be answered soon; a failure, not a speed limit.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 struct World {
@@ -55,9 +55,9 @@ impl World {
         World::with(process, Arc::new(FakeClasses), None)
     }
 
-    /// With these classes, and with a place where it listens for other processes.
+    /// A world with these classes, and with a socket where it listens for other processes.
     fn with(process: &'static str, classes: Arc<dyn Classes>, links: Option<PathBuf>) -> World {
-        // As every program sets it; lines that a test waits for come by it, whichever test runs first.
+        // As every program sets it; lines that a test waits for need it, whichever test runs first.
         log::set_max_level(log::LevelFilter::Info);
         let process_name = Name::parse(process).unwrap();
         let config = LcmConfig {
@@ -125,7 +125,7 @@ impl World {
         self.invoke(name, false).await
     }
 
-    /// Sends it.
+    /// Sends that command.
     async fn send(&self, name: &str) {
         self.invoke(name, true).await.unwrap();
     }
@@ -159,7 +159,7 @@ impl World {
     }
 }
 
-/// Waits until `is`, which says what it still lacks.
+/// Waits until `is` holds, under the watchdog.
 async fn eventually(what: &str, is: impl Fn() -> bool) {
     let mut watchdog = Watchdog::of(what);
     while !is() {

@@ -1,18 +1,19 @@
-//! Frames that are images as small JPEGs, for whoever looks from outside.
+//! Frames that are images as small JPEGs, for readers outside.
 //!
-//! Invariant: header and bytes come from a plugin: every size is checked against the bytes there are before one of them is read,
-//! and what is no image is none, without a word. Never called by a thread that steps.
+//! Invariant: header and bytes come from a plugin: every size is checked against the available bytes before
+//! one of them is read, and a frame that is no image gives none, without a report. Never called by a thread
+//! that steps.
 
 use jpeg_encoder::{ColorType, Encoder};
 use serde_json::Value;
 
-/// Widths that are made, px.
+/// Widths of the pictures, px.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=1920;
-/// Larger sides are no camera's, px.
+/// Longest side of an image, px: no camera has a longer one.
 const MOST: usize = 16_384;
-/// Of 100: artefacts are not seen, and 1024 × 576 has some 80 kB.
+/// JPEG quality of 100: artefacts are not seen, and 1024 × 576 has some 80 kB.
 const QUALITY: u8 = 80;
-/// Values that decide which distance is how bright; more make no visible difference.
+/// Values that set the scale from distance to brightness; more make no visible difference.
 const SAMPLES: usize = 20_000;
 
 /// Pixel formats of docs/INTERFACES.md.
@@ -151,7 +152,7 @@ fn add(boxes: &[u32], sums: &mut [[u32; 3]], pixels: impl Iterator<Item = [u8; 3
     }
 }
 
-/// Which nearness is black and which is white.
+/// Scale from nearness to brightness: which is black and which is white.
 #[derive(Clone, Copy, Default)]
 struct Light {
     far: f32,
@@ -159,7 +160,7 @@ struct Light {
 }
 
 impl Light {
-    /// The ends of what the image holds, but for a few; of images of light any one.
+    /// The range of the image's values, without a few at its ends; for images of light any scale.
     fn of(image: &Image<'_>) -> Light {
         if !matches!(image.format, Format::Disparity16 | Format::Depth32f) {
             return Light::default();
@@ -179,14 +180,14 @@ impl Light {
         Light { far: *far, per_nearness: (near - far).max(f32::MIN_POSITIVE).recip() }
     }
 
-    /// Near is bright; where nothing is known it is black.
+    /// Near is bright; unknown is black.
     fn of_nearness(self, nearness: Option<f32>) -> u8 {
         let part = |nearness: f32| ((nearness - self.far) * self.per_nearness).clamp(0.0, 1.0);
         nearness.map_or(0, |nearness| (40.0 + 215.0 * part(nearness)) as u8)
     }
 }
 
-/// Disparity in 1/16 px, or 1/depth in 1/m; none where nothing is known.
+/// Disparity in 1/16 px, or 1/depth in 1/m; `None` where unknown.
 fn nearness(format: Format, row: &[u8], x: usize) -> Option<f32> {
     if format == Format::Disparity16 {
         let value = i16::from_le_bytes(row.as_chunks::<2>().0[x]);
@@ -207,12 +208,12 @@ fn yuyv(row: &[u8], x: usize) -> [u8; 3] {
     [409 * v, -100 * u - 208 * v, 516 * u].map(|tint| ((y + tint + 128) >> 8).clamp(0, 255) as u8)
 }
 
-/// The image in a frame, `width` wide at most; none where the frame is no image.
+/// The image in a frame, `width` wide at most; `None` where the frame is no image.
 pub(super) fn small(header: &Value, bytes: &[u8], width: u32) -> Option<Small> {
     Some(Image::of(header, bytes)?.scaled(width))
 }
 
-/// As JPEG; empty when it cannot be coded, which no image of allowed sides is.
+/// The image as JPEG; empty when it cannot be coded, which never happens for allowed sides.
 pub(super) fn jpeg(small: &Small) -> Vec<u8> {
     let mut coded = Vec::new();
     let encoder = Encoder::new(&mut coded, QUALITY);

@@ -30,7 +30,7 @@ fn with_address<R>(path: &Path, f: impl FnOnce(&SocketAddrUnix) -> rustix::io::R
     Ok(f(&address)?)
 }
 
-/// Somebody has removed the file of a socket that listens.
+/// Tells whether the file of a listening socket was removed.
 pub fn is_gone(path: &Path) -> bool {
     path.symlink_metadata().is_err_and(|e| e.kind() == io::ErrorKind::NotFound)
 }
@@ -43,7 +43,7 @@ pub(crate) fn listen_anew(socket: &mut OwnedFd, path: &Path) -> io::Result<()> {
     os::replace(socket, listen(path)?)
 }
 
-/// Listens at `path`, in place of whoever did before: the caller owns the folder.
+/// Listens at `path`, in place of an earlier listener: the caller owns the folder.
 pub(crate) fn listen(path: &Path) -> io::Result<OwnedFd> {
     match std::fs::remove_file(path) {
         Err(e) if e.kind() != io::ErrorKind::NotFound => {

@@ -1,4 +1,4 @@
-//! What a process tells about itself so that others of its machine can reach it.
+//! Facts a process tells about itself so that other processes of its machine can reach it.
 
 use std::fmt;
 use std::io;
@@ -18,12 +18,12 @@ const MOST_PATH: usize = 4096;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Card {
     pub process: String,
-    /// Of this run of the process: two runs never have the same.
+    /// Identifies this run of the process: two runs never have the same.
     pub instance: String,
-    /// Of this run of the machine.
+    /// Identifies this run of the machine.
     pub boot: String,
     pub uid: u32,
-    /// Where it listens.
+    /// Socket the process listens at.
     pub socket: PathBuf,
     /// Its [`LAYOUT`].
     pub layout: u32,

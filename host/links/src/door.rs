@@ -1,6 +1,7 @@
-//! What keeps strangers from costing much: how many there may be, and how often they are spoken of.
+//! Limits on the cost of strangers: how many there may be, and how often the log speaks of them.
 //!
-//! Invariant: however many come, the log has a line of each kind every [`QUIET_NS`] at most, and that one says how many there were.
+//! Invariant: however many come, the log has at most one line of each kind every [`QUIET_NS`], and that line
+//! says how many there were.
 
 /// Greetings of others that may be under way at once; one more takes the place of the oldest.
 pub(crate) const MOST_GREETINGS: usize = 64;

@@ -1,4 +1,5 @@
-//! What two processes say before they trust each other: who they are, and that both see the same page of memory.
+//! Greeting of two processes before they trust each other: who they are, and that both see the same page of
+//! memory.
 //!
 //! ```text
 //! dialler                          listener
@@ -8,14 +9,15 @@
 //!            ◀────────────── Ready   (or Refused{why} in place of any answer)
 //! ```
 //!
-//! Invariant: everything that arrives is checked for its length before it is looked at, and nothing is allocated by what it says.
+//! Invariant: the length of everything that arrives is checked before its content is read, and no allocation
+//! depends on what it says.
 
 use serde::{Deserialize, Serialize};
 
 use crate::card::Card;
 use crate::steps::plain;
 
-/// Of this conversation.
+/// Version of this conversation.
 pub(crate) const VERSION: u32 = 1;
 /// First byte of everything said here, so that a stranger's bytes are no greeting.
 const GREETING: u8 = b'g';

@@ -1,8 +1,9 @@
-//! How the processes of one machine find each other, make sure of each other, and notice that the other one is gone.
+//! Lets the processes of one machine find each other, make sure of each other, and notice that the other one
+//! is gone.
 //!
-//! A session is a socket and a page of memory between two processes. What is said over it (and the memory passed along) is the
-//! business of whoever opened it; data never goes over the socket. Invariant: a session that was given up stays given up; a process
-//! that comes back, or goes on after it was thought dead, gets a new one.
+//! A session is a socket and a page of memory between two processes. What is said over it (and the memory
+//! passed along) is the business of its user; data never goes over the socket. Invariant: a session that was
+//! given up stays given up; a process that comes back, or goes on after it was thought dead, gets a new one.
 
 #![forbid(unsafe_code)]
 

@@ -1,6 +1,6 @@
-//! The handle on all sessions of this process, and what their user is told.
+//! The handle on all sessions of this process, and the trait that hears of them.
 //!
-//! Invariant: the sessions belong to one thread, `trocar-links`; everybody else asks it.
+//! Invariant: the sessions belong to one thread, `trocar-links`; all other threads ask it.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -17,17 +17,18 @@ use crate::card::Card;
 use crate::serve::Server;
 use crate::session::{Lost, Message, Session};
 
-/// Told on the thread of the sessions: whatever waits here makes other processes believe that this one is dead.
+/// Told on the thread of the sessions: a handler that waits makes other processes believe that this one is
+/// dead.
 pub trait Handler: Send + 'static {
-    /// A process made sure of us, and we of it.
+    /// The two processes made sure of each other.
     fn met(&mut self, session: &Arc<Session>);
-    /// It said something.
+    /// The process sent a message.
     fn said(&mut self, session: &Arc<Session>, message: Message);
-    /// It is gone. Nothing comes of this session any more.
+    /// The process is gone. Nothing comes of this session any more.
     fn lost(&mut self, session: &Arc<Session>, why: &Lost);
 }
 
-/// What the thread is asked, and what it tells.
+/// Questions to the thread of the sessions, and its answers.
 pub(crate) struct Shared {
     asked: Mutex<Vec<Ask>>,
     /// Rung for every question.
@@ -37,15 +38,15 @@ pub(crate) struct Shared {
 
 #[derive(Default)]
 pub(crate) struct Known {
-    /// Sessions this process asked for, by where the other one listens.
+    /// Sessions this process asked for, by the socket of the other process.
     pub(crate) dialled: BTreeMap<PathBuf, Arc<Session>>,
-    /// Why there is none.
+    /// Reasons why there is no session.
     pub(crate) failed: BTreeMap<PathBuf, Failed>,
 }
 
 pub(crate) struct Failed {
     pub(crate) why: String,
-    /// One of the two said no; else nobody answered.
+    /// One of the two said no; else there was no answer.
     pub(crate) refused: bool,
 }
 
@@ -86,7 +87,8 @@ pub struct Links {
 }
 
 impl Links {
-    /// Listens where the card says. The caller owns that folder: a socket left there by an earlier process is replaced.
+    /// Listens at the socket of the card. The caller owns its folder: a socket left there by an earlier
+    /// process is replaced.
     ///
     /// # Errors
     /// The socket cannot be made there, or the machine gives no more threads or files.
@@ -95,25 +97,25 @@ impl Links {
         let listener = address::listen(&card.socket)?;
         let (own, asked) = (card.clone(), shared.clone());
         let thread = std::thread::Builder::new().name("trocar-links".into());
-        // Made there, since the words it leaves behind are that thread's.
+        // The server is made on its thread, since the words of its will belong to that thread.
         let thread = house::spawn(thread, move || Server::new(own, listener, asked, handler).run());
-        // Nothing half made: without its thread nobody would answer there.
+        // Nothing half made stays: without its thread no call at the socket would be answered.
         let thread = thread.inspect_err(|_| drop(std::fs::remove_file(&card.socket)))?;
         Ok(Links { card, shared, thread: Mutex::new(Some(thread)) })
     }
 
-    /// What other processes need to know to reach this one.
+    /// Facts other processes need to reach this one.
     pub fn card(&self) -> &Card {
         &self.card
     }
 
-    /// From now on there is to be a session with the process that listens at `socket`: it is dialled until it answers, and again
-    /// whenever it was lost. As often as it is wanted it has to be left.
+    /// Wants a session with the process that listens at `socket`: this process dials it until it answers, and
+    /// again whenever the session is lost. Each call needs one call to leave it.
     pub fn want(&self, socket: &Path) {
         self.shared.ask(Ask::Want(socket.into()));
     }
 
-    /// Nobody needs that session any more.
+    /// Leaves the session: this caller does not need it any more.
     pub fn leave(&self, socket: &Path) {
         self.shared.ask(Ask::Unwant(socket.into()));
     }
@@ -123,7 +125,7 @@ impl Links {
         self.shared.known().dialled.get(socket).filter(|session| !session.is_lost()).cloned()
     }
 
-    /// Why there is no session with the process that should listen there, as it was found last.
+    /// Returns why there is no session with the process that should listen there, as it was found last.
     pub fn why_not(&self, socket: &Path) -> Option<String> {
         self.shared.known().failed.get(socket).map(|failed| failed.why.clone())
     }
@@ -146,7 +148,8 @@ impl Links {
         if thread.join().is_err() {
             log::error!("the thread of the links to other processes panicked");
         }
-        // Only once, since later it is the socket of the next process of this name. Left behind it is replaced by that.
+        // Removed only once, since later it is the socket of the next process of this name. A socket left
+        // behind is replaced by that process.
         let _ = std::fs::remove_file(&self.card.socket);
     }
 }

@@ -1,7 +1,7 @@
-//! Whether the process at the other end still runs, judged from its heartbeat.
+//! Tells whether the process at the other end still runs, judged from its heartbeat.
 //!
-//! Invariant: a process that is stopped is given up after [`STOPPED_NS`], one that merely gets no processor after [`SILENT_NS`]; and
-//! nobody is judged by a judge who got no processor itself.
+//! Invariant: a process that is stopped is given up after [`STOPPED_NS`], one that merely gets no processor
+//! after [`SILENT_NS`]; a process that got no processor itself judges no other.
 
 use crate::session::Lost;
 
@@ -9,16 +9,16 @@ use crate::session::Lost;
 pub(crate) const BEAT_NS: u64 = 10_000_000;
 /// Silence after which a process that stands still is lost, ns: three beats.
 pub(crate) const STOPPED_NS: u64 = 3 * BEAT_NS;
-/// Silence after which any process is lost, ns. A busy machine keeps threads waiting for a tenth of that; a process that ends is noticed
-/// by the kernel's mark and by its socket, not by this.
+/// Silence after which any process is lost, ns. A busy machine keeps threads waiting for a tenth of that. The
+/// kernel's mark and the socket tell that a process ended, not this silence.
 pub(crate) const SILENT_NS: u64 = 300_000_000;
 
-/// What is known of the heart of one process.
+/// Heartbeat of one process, as far as this process knows it.
 #[derive(Debug)]
 pub(crate) struct Heart {
     /// The last beat that was seen.
     beat: u64,
-    /// When it was new to us, ns.
+    /// Time this process saw it first, ns.
     seen_ns: u64,
 }
 
@@ -27,8 +27,8 @@ impl Heart {
         Heart { beat: 0, seen_ns: now_ns }
     }
 
-    /// Looks at it, every [`BEAT_NS`] or so; `late_ns` is how much later than that this look is. What the kernel says of the process is
-    /// asked only when there was silence.
+    /// Looks at the heartbeat, every [`BEAT_NS`] or so; `late_ns` is how much later than that this look is.
+    /// The kernel is asked about the process only when there was silence.
     pub(crate) fn look(
         &mut self,
         beat: u64,
@@ -41,7 +41,7 @@ impl Heart {
             self.seen_ns = now_ns;
             return None;
         }
-        // What we slept through was no silence.
+        // Time this process slept through does not count as silence.
         self.seen_ns = (self.seen_ns + late_ns).min(now_ns);
         let silent_ns = now_ns - self.seen_ns;
         if silent_ns > SILENT_NS {

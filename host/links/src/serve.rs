@@ -1,6 +1,7 @@
 //! The thread of all sessions: accepts, dials, greets, listens, looks after the hearts.
 //!
-//! Invariant: it never waits for one process, and nothing a stranger does costs more than one greeting's time and room.
+//! Invariant: the thread never waits for one process, and nothing a stranger does costs more than one
+//! greeting's time and room.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -40,10 +41,11 @@ const AT_ONCE: usize = 16;
 
 pub(crate) struct Server<H> {
     card: Card,
-    /// A forked child that kept it would let others dial a process that has ended, and wait.
+    /// Keeps the listener from forked children: a child that kept it would let others dial a process that has
+    /// ended, and wait.
     _unshared: Unshared,
     listener: OwnedFd,
-    /// A file kept so that somebody can be told when the process may open no more; `None` while that is so.
+    /// A file kept so that a caller can be told when the process may open no more; `None` while that is so.
     spare: Option<OwnedFd>,
     /// No look at the listener before, ns.
     listen_ns: u64,
@@ -57,9 +59,9 @@ pub(crate) struct Server<H> {
     sessions: u64,
     /// When the hearts were looked at last, ns.
     beat_ns: u64,
-    /// How others hear at once that this process died; `None` where the kernel tells nobody.
+    /// Lets others hear at once that this process died; `None` where the kernel tells nobody.
     will: Option<Will>,
-    /// How this process hears it of others.
+    /// Lets this process hear of the death of others.
     watch: Watch,
     turned_away: Seldom,
     unheard: Seldom,
@@ -70,7 +72,7 @@ pub(crate) struct Server<H> {
 struct Want {
     times: usize,
     next_ns: u64,
-    /// It is being dialled, or there.
+    /// The process is being dialled, or its session is there.
     busy: bool,
 }
 
@@ -81,7 +83,7 @@ enum End {
 }
 
 impl End {
-    /// It greets whoever listens there.
+    /// Tells whether this end greets the process that listens at `there`.
     fn is_dialled(&self, there: &PathBuf) -> bool {
         matches!(self, End::Greeting { stage, .. } if stage.at() == Some(there))
     }
@@ -95,7 +97,7 @@ impl End {
 }
 
 impl<H: Handler> Server<H> {
-    /// On the thread that runs it.
+    /// Makes the server, on the thread that runs it.
     pub(crate) fn new(card: Card, listener: OwnedFd, shared: Arc<Shared>, handler: H) -> Server<H> {
         let told = |e: &std::io::Error| {
             log::info!("other processes hear of the end of this one by their sockets only: {e}")
@@ -132,7 +134,8 @@ impl<H: Handler> Server<H> {
             self.look_at_hearts(now);
             let ready = self.wait(now_ns());
             let now = now_ns();
-            // From the back: what ends is taken out. Before others are let in, who may take the place of those that said nothing.
+            // Handled from the back, since an end that is over is removed. New callers are let in after that,
+            // since one may take the place of a greeting that said nothing.
             for at in (0..self.ends.len()).rev() {
                 if ready.get(at + 1) == Some(&true) {
                     self.listen(at, now);
@@ -150,12 +153,12 @@ impl<H: Handler> Server<H> {
         }
     }
 
-    /// What the others asked; false: stop.
+    /// Answers what other threads asked; false: stop.
     fn answer(&mut self) -> bool {
         for ask in self.shared.take() {
             match ask {
                 Ask::Want(at) => {
-                    // Left and wanted again at once, it may still be greeted.
+                    // A session that was left and wanted again at once may still be in its greeting.
                     let busy = self.ends.iter().any(|end| end.is_dialled(&at));
                     let want = self.wants.entry(at).or_insert(Want { times: 0, next_ns: 0, busy });
                     want.times += 1;
@@ -180,13 +183,14 @@ impl<H: Handler> Server<H> {
         true
     }
 
-    /// Sleeps until something is there: the listener, then the ends.
+    /// Sleeps until something is there. Returns that for the listener, then for the ends.
     fn wait(&mut self, now: u64) -> Vec<bool> {
         let listens = if now >= self.listen_ns { PollFlags::IN } else { PollFlags::empty() };
         let mut looked: Vec<PollFd<'_>> =
             vec![PollFd::new(&self.shared.bell, PollFlags::IN), PollFd::new(&self.listener, listens)];
         looked.extend(self.ends.iter().map(|end| match end {
-            // In its place one that never rings: its heart is looked at again soon, and so is this.
+            // A socket that never rings stands in its place: the heart of the session is looked at again
+            // soon, and so is this.
             End::Live { session, .. } if session.is_full() => PollFd::new(&self.listener, PollFlags::empty()),
             end => PollFd::from_borrowed_fd(end.socket(), PollFlags::IN),
         }));
@@ -205,7 +209,7 @@ impl<H: Handler> Server<H> {
         ready[1..].to_vec()
     }
 
-    /// When something is due although nobody says anything, ns.
+    /// Returns the time when something is due although no message comes, ns.
     fn until(&self, now: u64) -> Option<u64> {
         let greetings = self.ends.iter().filter_map(|end| match end {
             End::Greeting { until_ns, .. } => Some(*until_ns),
@@ -221,8 +225,8 @@ impl<H: Handler> Server<H> {
         self.ends.iter().any(|end| matches!(end, End::Live { .. }))
     }
 
-    /// Where the greeting of another process stands that gives way to a new one: the oldest of those that said nothing yet, else the
-    /// oldest. `None` while there is room.
+    /// Index of the caller's greeting that gives way to a new one: the oldest of those that said nothing yet,
+    /// else the oldest. `None` while there is room.
     fn gives_way(&self) -> Option<usize> {
         let guests = self.ends.iter().enumerate().filter_map(|(at, end)| match end {
             End::Greeting { until_ns, stage, .. } => Some((stage.is_guest()?, *until_ns, at)),
@@ -244,7 +248,7 @@ impl<H: Handler> Server<H> {
             let dialled = address::dial(&at).and_then(|socket| {
                 let (pid, uid) = other_end(&socket)?;
                 let foreign = self.foreign(uid);
-                // Whoever else listens there learns nothing of this process.
+                // A listener of another user learns nothing of this process.
                 if foreign.is_none() {
                     send(socket.as_fd(), &[&said.encode()], &[])?;
                 }
@@ -278,14 +282,14 @@ impl<H: Handler> Server<H> {
         }
     }
 
-    /// As many at a time as may greet at once, so that each of them is listened to.
+    /// Accepts as many at a time as may greet at once, so that each of them is listened to.
     fn accept(&mut self, now: u64) {
         for _ in 0..MOST_GREETINGS {
             match rustix::net::accept_with(&self.listener, SocketFlags::CLOEXEC | SocketFlags::NONBLOCK) {
                 Ok(socket) => self.admit(socket, now),
                 Err(Errno::INTR | Errno::CONNABORTED) => {}
                 Err(Errno::AGAIN) => return,
-                // In its place somebody hears why it is not let in.
+                // The spare file makes room: the caller hears why it is not let in.
                 Err(Errno::MFILE | Errno::NFILE) if self.spare.take().is_some() => {}
                 Err(e) => {
                     self.no_files
@@ -304,8 +308,8 @@ impl<H: Handler> Server<H> {
         }
     }
 
-    /// Processes find each other by the path of a socket: where somebody has removed it, as whoever empties a
-    /// state directory does, this one would be found by none that comes later.
+    /// Listens anew where the socket's path was removed, as by emptying a state directory. Processes find
+    /// each other by that path: a later one would not find this process.
     fn keep_place(&mut self, now: u64) {
         if now < self.place_ns {
             return;
@@ -321,13 +325,14 @@ impl<H: Handler> Server<H> {
         }
     }
 
-    /// Why a process of this user is none to greet, at either end: what its card says of it comes later and counts for nothing here.
+    /// Reason why this process greets no process of this user, at either end. The card's user comes later and
+    /// does not count here.
     fn foreign(&self, uid: u32) -> Option<String> {
         let own = self.card.uid;
         (uid != own).then(|| format!("user {uid} is not the user of this process, {own}"))
     }
 
-    /// Only processes of the same user may greet, as the kernel tells it.
+    /// Admits a caller: only processes of the same user may greet, as the kernel tells it.
     fn admit(&mut self, socket: OwnedFd, now: u64) {
         let Ok((pid, uid)) = other_end(&socket) else { return };
         if let Some(why) = self.foreign(uid) {
@@ -336,7 +341,8 @@ impl<H: Handler> Server<H> {
             return;
         }
         if let Some(at) = self.gives_way() {
-            // Untold: a friend among the crowd calls again sooner than one that was refused.
+            // The greeting ends untold: a friend among the crowd calls again sooner than one that was
+            // refused.
             self.ends.swap_remove(at);
         }
         self.ends.push(End::Greeting { socket, pid, until_ns: now + GREETING_NS, stage: Stage::Knocking });
@@ -369,7 +375,7 @@ impl<H: Handler> Server<H> {
         }
     }
 
-    /// True while there may be more from this socket.
+    /// Returns true while there may be more from this socket.
     fn hear(&mut self, at: usize, bytes: usize, files: Vec<OwnedFd>, now: u64) -> bool {
         let said = match parse(&self.room[..bytes]) {
             Ok(said) => said,
@@ -396,7 +402,7 @@ impl<H: Handler> Server<H> {
         }
     }
 
-    /// The next step of a greeting.
+    /// Takes the next step of a greeting.
     fn greet(&mut self, at: usize, said: Greeting, files: Vec<OwnedFd>, now: u64) -> bool {
         let End::Greeting { socket, pid, until_ns, stage } = self.ends.swap_remove(at) else { return false };
         let dialled = stage.at().cloned();
@@ -424,11 +430,11 @@ impl<H: Handler> Server<H> {
                 }
             }
         }
-        // It stands elsewhere now; the next look finds it.
+        // The socket now stands elsewhere in the list; the next look finds it.
         false
     }
 
-    /// Sessions that others began, and how many of them this process.
+    /// Returns the number of sessions that others began, and how many of them this process began.
     fn guests_of(&self, pid: i32) -> (usize, usize) {
         let guests = self.ends.iter().filter_map(|end| match end {
             End::Live { session, .. } => session.is_guest().then_some(session.peer().pid),
@@ -452,7 +458,7 @@ impl<H: Handler> Server<H> {
         let session =
             Arc::new(Session::new(self.sessions, peer, (card.socket, dialled.is_none()), socket, pulse));
         if let Some(at) = dialled {
-            // Nobody wants it any more.
+            // The session is not wanted any more.
             if !self.wants.contains_key(&at) {
                 return;
             }
@@ -474,7 +480,7 @@ impl<H: Handler> Server<H> {
         self.handler.met(&session);
     }
 
-    /// The process of this session died: what it said last is heard, nothing else is awaited of it.
+    /// Ends the session of a process that died: its last messages are heard, nothing else is awaited of it.
     fn died(&mut self, number: u64) {
         let now = now_ns();
         let is_it = |end: &End| matches!(end, End::Live { session, .. } if session.number() == number);
@@ -490,7 +496,7 @@ impl<H: Handler> Server<H> {
         match self.ends.swap_remove(at) {
             End::Live { session, .. } => {
                 let why = match session.why_ended().unwrap_or(why) {
-                    // The end of its socket may be seen first, on a busy machine.
+                    // The end of the socket may be seen first, on a busy machine.
                     Lost::Closed if session.pulse.life() == Life::Died => Lost::Died,
                     why => why,
                 };
@@ -547,7 +553,7 @@ impl<H: Handler> Server<H> {
             let End::Live { session, heart, watched } = end else { continue };
             session.pulse.beat(now);
             let pid = session.peer().pid;
-            // Its word may come after it was met.
+            // The word may come after the process was met.
             *watched = *watched || self.watch.add(session);
             if session.pulse.life() == Life::Died {
                 gone.push((at, Lost::Died));
@@ -571,7 +577,8 @@ impl<H: Handler> Server<H> {
     }
 }
 
-/// Process and user at the other end, as the kernel tells it: of one that listens, as it was when it began to.
+/// Returns process and user of the other end, as the kernel tells it; of a listener, those at the time it
+/// began to listen.
 fn other_end(socket: &OwnedFd) -> rustix::io::Result<(i32, u32)> {
     let who = rustix::net::sockopt::socket_peercred(socket)?;
     Ok((who.pid.as_raw_nonzero().get(), who.uid.as_raw()))

@@ -23,11 +23,11 @@ pub const MOST_BYTES: usize = 128 << 10;
 /// Files that can come along with one message.
 pub const MOST_FDS: usize = 32;
 
-/// Who is at the other end.
+/// Identity of the process at the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Peer {
     pub process: String,
-    /// Of this run of the process.
+    /// Identifies this run of the process.
     pub instance: String,
     /// As the kernel told it.
     pub pid: i32,
@@ -38,7 +38,8 @@ pub struct Peer {
 pub enum Lost {
     /// The other process ended, or closed it.
     Closed,
-    /// The other process died, or ended on the spot: the kernel marked its word in the page both share, or it did so itself.
+    /// The other process died, or ended on the spot: the kernel, or the process itself, marked its word in
+    /// the shared page.
     Died,
     /// The other process exists, but stands still.
     Stopped,
@@ -46,7 +47,7 @@ pub enum Lost {
     Silent { ms: u64 },
     /// The other process said what it may not.
     Nonsense { what: String },
-    /// It was ended here.
+    /// This process ended the session.
     Ended,
 }
 
@@ -63,7 +64,7 @@ impl fmt::Display for Lost {
     }
 }
 
-/// Why something could not be said.
+/// Reason why a message could not be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SendError {
     TooLong {
@@ -72,7 +73,7 @@ pub enum SendError {
     TooManyFiles {
         files: usize,
     },
-    /// The other process does not listen to what was said before.
+    /// The other process does not read earlier messages.
     Busy,
     Lost,
 }
@@ -94,11 +95,11 @@ impl fmt::Display for SendError {
 
 impl std::error::Error for SendError {}
 
-/// What one session may have said before some of it was dealt with, in messages; a file counts as four. More is not read until then,
-/// which the other process sees as [`SendError::Busy`].
+/// Most messages of one session that wait to be handled; a file counts as four. Beyond that the socket is not
+/// read, and the other process gets [`SendError::Busy`].
 const MOST_HELD: usize = 512;
 
-/// A message's part in what its session is allowed, given back when it was dealt with.
+/// A message's share of [`MOST_HELD`], given back when it was handled.
 #[derive(Debug)]
 struct Held {
     all: Arc<AtomicUsize>,
@@ -123,9 +124,9 @@ impl Drop for Held {
 #[derive(Debug)]
 pub struct Message {
     pub bytes: Vec<u8>,
-    /// What came along.
+    /// Files that came along.
     pub files: Vec<OwnedFd>,
-    /// What should have come along: more than came where this process may open no more files.
+    /// Number of files the sender announced: more than came where this process may open no more files.
     pub announced: usize,
     _held: Held,
 }
@@ -135,15 +136,15 @@ pub struct Message {
 pub struct Session {
     number: u64,
     peer: Peer,
-    /// Where the other process listens.
+    /// Socket the other process listens at.
     at: PathBuf,
     socket: OwnedFd,
     pub(crate) pulse: Pulse,
     lost: AtomicBool,
     ended: AtomicBool,
-    /// Why its user does not listen to it any more.
+    /// Reason why the user of the session does not listen to it any more.
     condemned: OnceLock<String>,
-    /// Of its messages.
+    /// Part of [`MOST_HELD`] in use by its messages.
     held: Arc<AtomicUsize>,
     /// The other process began it.
     guest: bool,
@@ -171,13 +172,13 @@ impl Session {
         }
     }
 
-    /// A message of it.
+    /// Makes a message of this session.
     pub(crate) fn message(&self, bytes: &[u8], files: Vec<OwnedFd>, announced: usize) -> Message {
         let held = Held::new(&self.held, files.len());
         Message { bytes: bytes.to_vec(), files, announced, _held: held }
     }
 
-    /// So much of it waits that no more is read.
+    /// Tells whether so many of its messages wait that no more is read.
     pub(crate) fn is_full(&self) -> bool {
         self.held.load(Ordering::Relaxed) >= MOST_HELD
     }
@@ -186,7 +187,7 @@ impl Session {
         self.guest
     }
 
-    /// Of this process: no two sessions have the same.
+    /// Number in this process: no two sessions have the same.
     pub fn number(&self) -> u64 {
         self.number
     }
@@ -195,17 +196,17 @@ impl Session {
         &self.peer
     }
 
-    /// Where the other process listens.
+    /// Socket the other process listens at.
     pub fn at(&self) -> &PathBuf {
         &self.at
     }
 
-    /// It was given up, for good.
+    /// Tells whether the session was given up, for good.
     pub fn is_lost(&self) -> bool {
         self.lost.load(Ordering::Acquire)
     }
 
-    /// Says something, with files that come along. Never waits.
+    /// Sends a message, with files that come along. Never waits.
     ///
     /// # Errors
     /// It is too much, or the other process does not listen, or is gone.
@@ -227,21 +228,22 @@ impl Session {
         }
     }
 
-    /// Ends it: both ends are told that it is lost.
+    /// Ends the session: both ends are told that it is lost.
     pub(crate) fn end(&self) {
         self.ended.store(true, Ordering::Release);
-        // It may be over already.
+        // The session may have ended already.
         let _ = rustix::net::shutdown(&self.socket, Shutdown::Both);
     }
 
-    /// Ends it, since the other process said what it may not: told in the log, seldom, and to whoever asks why it is lost.
+    /// Ends the session, since the other process said what it may not. The log tells the reason, seldom;
+    /// [`Lost`] carries it.
     pub fn condemn(&self, what: &str) {
-        // What was said first stays.
+        // The first reason stays.
         let _ = self.condemned.set(plain(what));
         self.end();
     }
 
-    /// Why it is over, where that was decided here.
+    /// Returns why it is over, where that was decided here.
     pub(crate) fn why_ended(&self) -> Option<Lost> {
         let condemned = self.condemned.get().map(|what| Lost::Nonsense { what: what.clone() });
         condemned.or_else(|| self.ended.load(Ordering::Acquire).then_some(Lost::Ended))
@@ -268,7 +270,7 @@ pub(crate) fn send(to: BorrowedFd<'_>, parts: &[&[u8]], files: &[BorrowedFd<'_>]
     rustix::net::sendmsg(to, &parts, &mut control, flags).map(|_| ())
 }
 
-/// What one look at a socket found.
+/// Result of one look at a socket.
 pub(crate) enum Heard {
     /// So many bytes of the buffer, and what came along.
     Message(usize, Vec<OwnedFd>),
@@ -290,7 +292,8 @@ pub(crate) fn receive(from: BorrowedFd<'_>, room: &mut [u8]) -> Heard {
     let got = loop {
         match rustix::net::recvmsg(from, &mut [IoSliceMut::new(room)], &mut control, flags) {
             Err(Errno::INTR) => {}
-            // The other end closed without having read all: what it said before that is still there, and may be why.
+            // The other end closed without having read all: its earlier messages are still there, and may say
+            // why.
             Err(Errno::CONNRESET) if resets == 0 => resets += 1,
             other => break other,
         }
@@ -306,7 +309,7 @@ pub(crate) fn receive(from: BorrowedFd<'_>, room: &mut [u8]) -> Heard {
         Err(Errno::AGAIN) => Heard::Nothing,
         Err(_) => Heard::End,
         Ok(got) if got.flags.contains(ReturnFlags::TRUNC) => Heard::TooLong,
-        // Nobody sends an empty message here: it is the end.
+        // An empty message is never sent here: it is the end.
         Ok(got) if got.bytes == 0 => Heard::End,
         Ok(got) => Heard::Message(got.bytes, files),
     }

@@ -1,6 +1,7 @@
-//! The steps of a greeting, at either end: what is answered to what, and who is turned away.
+//! Steps of a greeting, at either end: which answer follows which message, and which process is turned away.
 //!
-//! Invariant: nothing said in a greeting is kept or passed on before it was checked for its length and its characters.
+//! Invariant: nothing said in a greeting is kept or passed on before it was checked for its length and its
+//! characters.
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
@@ -11,7 +12,7 @@ use crate::card::{Card, random};
 use crate::greeting::{Greeting, VERSION};
 use crate::session::send;
 
-/// Where a greeting stands. The one who dialled knows where to.
+/// Stage of a greeting. The dialling side knows the address.
 pub(crate) enum Stage {
     /// Hello is awaited.
     Knocking,
@@ -31,7 +32,8 @@ impl Stage {
         }
     }
 
-    /// Somebody else's; those that said nothing yet come first.
+    /// Tells, of a greeting that a caller began, whether the caller has said something; those that said
+    /// nothing come first.
     pub(crate) fn is_guest(&self) -> Option<bool> {
         self.at().is_none().then_some(!matches!(self, Stage::Knocking))
     }
@@ -47,13 +49,14 @@ pub(crate) struct Refusal {
     pub(crate) by: By,
 }
 
-/// By whom a greeting ended.
+/// Side that ended a greeting.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum By {
     /// This process, which tells the other one.
     Us,
     Them,
-    /// Nobody: the other end hung up in the middle, perhaps since its time was over. It is called again.
+    /// Neither side: the other end hung up in the middle, perhaps since its time was over. It is called
+    /// again.
     Nobody,
 }
 
@@ -122,14 +125,14 @@ pub(crate) fn step(
 }
 
 pub(crate) fn refuse(socket: &OwnedFd, why: String) {
-    // Who does not listen is not told.
+    // The peer may not listen; then it is not told.
     let _ = send(socket.as_fd(), &[&Greeting::Refused { why }.encode()], &[]);
 }
 
 /// Most characters of a sentence another process says.
 const SENTENCE: usize = 300;
 
-/// What another process says, for a log or a person: one line of bounded length.
+/// Makes a sentence of another process fit for a log or a person: one line of bounded length.
 pub(crate) fn plain(said: &str) -> String {
     let line = said.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
     let mut text: String = line.take(SENTENCE).collect();

@@ -1,4 +1,4 @@
-//! Two processes' worth of sessions in one, and strangers at the door.
+//! Sessions between two handles in one process, and strangers that call.
 #![allow(clippy::unwrap_used)]
 
 mod death;
@@ -60,7 +60,7 @@ impl Process {
         &self.links.card().socket
     }
 
-    /// The next news.
+    /// Returns the next news.
     fn next(&self) -> News {
         let mut watchdog = Watchdog::of("news");
         loop {
@@ -306,7 +306,7 @@ fn a_number_that_is_only_guessed_opens_nothing() {
     let nonce = Pulse::open(files.into_iter().next().unwrap()).unwrap().nonce();
     forger.greet(&Greeting::Echo { nonce: [nonce[0], nonce[1] ^ 1] });
     assert!(forger.refused().contains("does not see the memory"));
-    // Whoever sees it is met, and lost again as soon as it talks nonsense.
+    // A stranger that sees the page is met, and lost again as soon as it talks nonsense.
     let guest = Stranger::at(b.socket());
     guest.greet(&hello);
     let (_, files) = guest.hears().unwrap();

@@ -1,7 +1,8 @@
-//! The thread that sleeps until the kernel marks the word of a process that died, and tells the thread of the sessions.
+//! The thread that sleeps until the kernel marks the word of a process that died, and tells the thread of the
+//! sessions.
 //!
-//! Invariant: another process that plays with its word costs a few wakes and the early sign of its own end, which its heart and its
-//! socket tell as well.
+//! Invariant: another process that plays with its word costs a few wakes and the early sign of its own end,
+//! which its heart and its socket tell as well.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -28,7 +29,7 @@ pub(crate) struct Watch {
 #[derive(Default)]
 struct Asked {
     book: Mutex<Book>,
-    /// Another number whenever the book was changed by somebody else.
+    /// Changes whenever another thread has changed the book.
     bell: AtomicU32,
 }
 
@@ -42,7 +43,7 @@ struct Book {
 #[derive(Clone)]
 struct Watched {
     session: Arc<Session>,
-    /// What it held when it lived.
+    /// Value of the word while the process lived.
     word: u32,
     false_wakes: u32,
 }
@@ -63,8 +64,8 @@ impl Watch {
         Watch { asked: Arc::default(), shared, thread: None }
     }
 
-    /// Watches the process of this session; false when that cannot be (yet): it has written no word, there are too many, the kernel
-    /// cannot, or the machine gives no thread.
+    /// Watches the process of this session. Returns false when that cannot be (yet): the process has written
+    /// no word, there are too many, the kernel cannot, or the machine gives no thread.
     pub(crate) fn add(&mut self, session: &Arc<Session>) -> bool {
         let Life::Lives(word) = session.pulse.life() else { return false };
         let mut book = self.asked.book();
@@ -135,14 +136,14 @@ fn watch(asked: &Asked, shared: &Shared) {
 }
 
 impl Watched {
-    /// Whether to watch it on; `woken` is the session whose word the sleeper was woken by.
+    /// Tells whether to watch it on; `woken` is the session whose word woke the sleeper.
     fn stays(&mut self, woken: Option<u64>, shared: &Shared) -> bool {
         match self.session.pulse.life() {
             Life::Died => {
                 shared.ask(Ask::Died(self.session.number()));
                 false
             }
-            // Any other word is not the one the process began with.
+            // The process began with this very word; any other one ends the watch.
             Life::Lives(word) if word == self.word => {
                 self.false_wakes += u32::from(woken == Some(self.session.number()));
                 self.false_wakes < MOST_FALSE

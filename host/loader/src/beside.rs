@@ -2,8 +2,8 @@
 //! directory.
 //!
 //! Invariant: decides where the dynamic linker will find each library, by its rules and without it: breadth
-//! first, the first that is found under a name serves all who need that name. A library that is brought is
-//! judged like the plugin.
+//! first, the first one found under a name serves all that need that name. A brought library is judged like
+//! the plugin.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -33,12 +33,12 @@ struct Want {
     /// The brought library that needs it; none for the plugin.
     by: Option<String>,
     is_beside: bool,
-    /// The linker looks there for those who need it, too (DT_RPATH).
+    /// The linker looks there for the libraries that need it, too (DT_RPATH).
     inherited: bool,
 }
 
-/// Everything the plugin brings, in the order the linker finds it. `own` is the name of the plugin's copy,
-/// `room` what all may have together, bytes.
+/// Returns everything the plugin brings, in the order the linker finds it. `own` is the name of the plugin's
+/// copy, `room` the most bytes all together.
 ///
 /// # Errors
 /// A search path other than `$ORIGIN`; a library that is nowhere; a brought one that a plugin could not be.
@@ -100,12 +100,13 @@ fn missing(want: Want) -> Fault {
     want.by.map_or(fault.clone(), |by| of(&by, fault))
 }
 
-/// The needs of a library, and whether the linker looks for them beside it.
+/// Returns the needs of a library, and whether the linker looks for them beside it.
 fn wants(elf: &Elf, by: Option<&str>, inherited: bool) -> Result<Vec<Want>, Fault> {
     let has_runpath = !elf.runpaths.is_empty();
     let by_runpath = leads_beside(&elf.runpaths)?;
     let by_rpath = leads_beside(&elf.rpaths)?;
-    // A library's DT_RUNPATH makes every DT_RPATH void for it, its own and of those who need it.
+    // A library's DT_RUNPATH makes every DT_RPATH void for it, its own and that of the libraries that need
+    // it.
     let inherited = !has_runpath && (by_rpath || inherited);
     let want = |name: &&str| match name.contains('/') {
         true => Err(Fault::LibraryByPath { name: name.to_string() }),
@@ -119,8 +120,8 @@ fn wants(elf: &Elf, by: Option<&str>, inherited: bool) -> Result<Vec<Want>, Faul
     elf.needed.iter().map(want).collect()
 }
 
-/// True when a search path is the library's own directory; any other directory is refused. An empty element
-/// would be the working directory.
+/// Tells whether a search path is the library's own directory; any other directory is refused. An empty
+/// element would be the working directory.
 fn leads_beside(paths: &[&str]) -> Result<bool, Fault> {
     let mut elements = paths.iter().filter(|path| !path.is_empty()).flat_map(|path| path.split(':'));
     let is_origin = |path: &&str| matches!(path.trim_end_matches('/'), "$ORIGIN" | "${ORIGIN}");

@@ -3,7 +3,7 @@
 
 use super::*;
 
-/// Whether a library with these search paths looks beside itself.
+/// Tells whether a library with these search paths looks beside itself.
 fn asked_for(rpaths: &[&'static str], runpaths: &[&'static str], inherited: bool) -> Result<bool, Fault> {
     let (rpaths, runpaths) = (rpaths.to_vec(), runpaths.to_vec());
     let elf = Elf { needed: vec!["libvendor.so.1"], rpaths, runpaths, ..Elf::default() };

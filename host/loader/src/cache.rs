@@ -2,9 +2,9 @@
 //! the libraries the plugin brings.
 //!
 //! Invariant: a path handed out and the libraries beside it hold exactly the bytes of that hash, are owned by
-//! this user, and nobody else can write them or a directory above them up to the cache's root. Files are made
-//! complete under another name, then renamed. Of them the plugin alone is executable. Versions that nobody
-//! can ask for any more go.
+//! this user, and no other user can write them or a directory above them up to the cache's root. Files are
+//! made complete under another name, then renamed. Only the plugin among them is executable. Versions that
+//! cannot be asked for any more are removed.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -54,8 +54,8 @@ impl Cache {
         Ok(Cache { root })
     }
 
-    /// The cached file of `hash`; it and its libraries are written unless they are there already, whole and
-    /// private.
+    /// Returns the cached file of `hash`; it and its libraries are written unless they are there already,
+    /// whole and private.
     pub(crate) fn put(&self, hash: &Hash, name: &str, content: &Content) -> Result<PathBuf, Fault> {
         let dir = self.dir(hash);
         for library in &content.brought {
@@ -66,7 +66,7 @@ impl Cache {
         Ok(path)
     }
 
-    /// True when the vetting child of this host version found nothing wrong with `hash`.
+    /// Tells whether the vetting child of this host version found nothing wrong with `hash`.
     pub(crate) fn is_vetted(&self, hash: &Hash) -> bool {
         self.dir(hash).join(verdict_name()).exists()
     }
@@ -83,8 +83,8 @@ impl Cache {
         fs::remove_file(self.dir(hash).join(verdict_name())).is_ok()
     }
 
-    /// Removes what is neither in `keep` nor the newest of the rest of its name: going back to the version
-    /// before costs nothing.
+    /// Removes all that is neither in `keep` nor the newest of the rest of its name: going back to the
+    /// version before costs nothing.
     pub(crate) fn prune(&self, keep: &BTreeSet<Hash>) {
         let entries = fs::read_dir(&self.root).into_iter().flatten().flatten();
         let rest = entries.filter_map(|entry| {
@@ -117,11 +117,11 @@ fn verdict_name() -> String {
     format!("vetted-{}-{ABI_MAJOR}.{ABI_MINOR}-{RULES}", env!("CARGO_PKG_VERSION"))
 }
 
-/// Modes of a plugin's copy and of the libraries it brings: they tell the one from the others.
+/// Modes of a plugin's copy and of the libraries it brings: they tell the two kinds apart.
 const PLUGIN: u32 = 0o500;
 const LIBRARY: u32 = 0o400;
 
-/// Name of the plugin that lies there.
+/// Returns the name of the plugin that lies there.
 fn plugin_in(dir: &Path) -> Option<OsString> {
     let entries = fs::read_dir(dir).ok()?.flatten();
     let is_plugin = |entry: &fs::DirEntry| entry.metadata().is_ok_and(|meta| meta.mode() & 0o100 != 0);

@@ -1,4 +1,4 @@
-//! Who may write where plugins are loaded from.
+//! Write permissions where plugins are loaded from.
 #![allow(clippy::unwrap_used)]
 
 use super::*;

@@ -1,7 +1,7 @@
-//! From what was found in the directories to what is listed, and what changed since the last look.
+//! Turns the findings of the directories into the list, and tells the changes since the last look.
 //!
-//! Invariant: pure. Equal findings give equal entries and no change, however often files were touched; of two files with one
-//! plugin name the one listed before stays.
+//! Invariant: pure. Equal findings give equal entries and no change, however often files were touched; of two
+//! files with one plugin name the one listed before stays.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
@@ -34,7 +34,7 @@ pub enum CatalogChange {
     Refused { file: PathBuf, reason: PluginError },
 }
 
-/// One file and what became of it.
+/// One file and its outcome.
 #[derive(Clone, Debug)]
 pub(crate) struct Finding {
     pub file: PathBuf,
@@ -86,7 +86,8 @@ fn refused(file: PathBuf, fault: Fault, plugin: Option<String>) -> PluginEntry {
     PluginEntry::Refused { file: file.clone(), reason: PluginError::Refused { file, fault }, plugin }
 }
 
-/// What a watcher of `before` must be told to know `after`: removals first, then the rest in file order.
+/// Returns the changes a watcher of `before` needs to know `after`: removals first, then the rest in file
+/// order.
 pub(crate) fn changes(before: &[PluginEntry], after: &[PluginEntry]) -> Vec<CatalogChange> {
     let by_name = |entries: &[PluginEntry]| -> BTreeMap<String, Arc<ListedPlugin>> {
         entries.iter().filter_map(PluginEntry::listed).map(|p| (p.name().to_string(), p.clone())).collect()

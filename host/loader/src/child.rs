@@ -1,7 +1,8 @@
-//! The vetting child: `trocar __vet FILE`. Loads one file, says how far it came, and leaves without exit handlers.
+//! The vetting child: `trocar __vet FILE`. Loads one file, says how far it came, and leaves without exit
+//! handlers.
 //!
-//! Invariant: standard output carries only our own lines; what the plugin prints goes to standard error. Dies by itself
-//! when its parent is gone, and leaves no core dump behind.
+//! Invariant: standard output carries only lines of this host; the plugin's own output goes to standard
+//! error. Dies by itself when its parent is gone, and leaves no core dump behind.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -49,7 +50,7 @@ pub fn vet_main(path: &Path) -> ExitCode {
     unsafe { libc::_exit(code) }
 }
 
-/// Our own copy of standard output; number 1 then leads to standard error.
+/// Returns the host's own copy of standard output; number 1 then leads to standard error.
 fn take_stdout() -> io::Result<File> {
     // SAFETY: duplicates a descriptor of this process.
     let copy = unsafe { libc::fcntl(1, libc::F_DUPFD_CLOEXEC, 3) };

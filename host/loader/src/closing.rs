@@ -1,7 +1,8 @@
 //! Libraries whose manifest says `unload` leave the process when nothing of them is left.
 //!
-//! Invariant: only that is closed which nobody can reach or is inside of: no listed file offers it, this is
-//! the last handle, and no thread runs that the host did not start and that came since it was loaded.
+//! Invariant: a library is closed only when no code can reach it or is inside of it: no listed file offers
+//! it, this is the last handle, and no thread runs that the host did not start and that came since it was
+//! loaded.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,28 +12,28 @@ use trocar_rt::threads;
 
 use super::load::LoadedPlugin;
 
-/// Threads that the host did not start, by number and when each began.
+/// Threads that the host did not start, by number and begin.
 pub(super) struct Others(BTreeMap<i32, u64>);
 
 impl Others {
     pub(super) fn now() -> Others {
         let mut own = house::threads();
         let listed = threads::list();
-        // One that has come or gone meanwhile is on one of both lists.
+        // A thread that has come or gone meanwhile is on one of both lists.
         own.extend(house::threads());
         let others = listed.into_iter().filter(|tid| !own.contains(tid));
         Others(others.map(|tid| (tid, threads::began(tid))).filter(|(_, began)| *began > 0).collect())
     }
 
-    /// One runs that did not run then.
+    /// Tells whether a thread runs that did not run then.
     fn are_more(&self) -> bool {
         Others::now().0.iter().any(|(tid, began)| self.0.get(tid) != Some(began))
     }
 }
 
-/// The plugin, when it was the last handle and may go; otherwise the handle again.
+/// Returns the plugin, when it was the last handle and may go; otherwise the handle again.
 pub(super) fn last(plugin: Arc<LoadedPlugin>) -> Result<LoadedPlugin, Arc<LoadedPlugin>> {
-    // Threads are looked for after nobody else can start one.
+    // Threads are looked for once no other handle can start one.
     let plugin = Arc::try_unwrap(plugin)?;
     match &plugin.others {
         Some(before) if !before.are_more() => Ok(plugin),

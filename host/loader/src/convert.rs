@@ -1,7 +1,8 @@
 //! Manifest → model: the class descriptions of a plugin in the graph's own types.
 //!
-//! Invariant: order is kept (ids are positions), offsets and sizes are checked here so that nobody behind this file has to
-//! distrust a description; the system interface and the taps are appended to every class, last, so they move no id.
+//! Invariant: order is kept (ids are positions), offsets and sizes are checked here so that no later code has
+//! to distrust a description; the system interface and the taps are appended to every class, last, so they
+//! move no id.
 
 pub mod back;
 mod frames;
@@ -110,7 +111,7 @@ fn class_info(
         config_schema: class.config.clone(),
         ports: ports(class, types)?,
     };
-    // Found now, and not by every Create.
+    // Found now, and not by each Create.
     match model::class_fault(&info) {
         Some(why) => Err(why),
         None => Ok(info),
@@ -226,7 +227,7 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
     Ok(ports)
 }
 
-/// The tag of that name, one of `allowed`; a slip of the pen must not leave a port without one.
+/// Returns the tag of that name, one of `allowed`; a typing error must not leave a port without one.
 fn tag(text: &str, allowed: &[model::Tag]) -> Result<model::Tag, String> {
     model::Tag::parse(text).filter(|tag| allowed.contains(tag)).ok_or_else(|| {
         let names: Vec<&str> = allowed.iter().map(|tag| tag.name()).filter(|name| !name.is_empty()).collect();

@@ -1,24 +1,24 @@
-//! Reads from the bytes of an ELF file what must be known before the dynamic linker may see it.
+//! Reads from the bytes of an ELF file the facts that must be known before the dynamic linker may see it.
 //!
-//! Invariant: no byte is trusted. Every offset is checked before use, nothing panics, allocates by a number from the file,
-//! or loops without a bound that the file's length gives.
+//! Invariant: no byte is trusted. Every offset is checked before use, nothing panics, allocates by a number
+//! from the file, or loops without a bound that the file's length gives.
 
 use super::Fault;
 
-/// What the loader asks about a library.
+/// Facts the loader asks about a library.
 #[derive(Debug, Default)]
 pub(crate) struct Elf<'a> {
     /// The manifest: descriptor of the `.note.trocar` note.
     pub note: Option<&'a [u8]>,
     /// Libraries by DT_NEEDED, in order.
     pub needed: Vec<&'a str>,
-    /// DT_RPATH: for itself and for what the libraries it needs look for.
+    /// DT_RPATH: for itself and for the needs of the libraries it needs.
     pub rpaths: Vec<&'a str>,
     /// DT_RUNPATH: for itself alone; then DT_RPATH does not count.
     pub runpaths: Vec<&'a str>,
     /// Names `_Unwind_RaiseException`: it can unwind a panic.
     pub unwinds: bool,
-    /// The first symbol with binding STB_GNU_UNIQUE that is not the C++ library's own.
+    /// The first symbol with binding STB_GNU_UNIQUE that is not of the C++ library.
     pub unique_symbol: Option<&'a str>,
 }
 
@@ -110,7 +110,7 @@ impl<'a> Elf<'a> {
         Ok(elf)
     }
 
-    /// A warning about symbols that all versions of the library share.
+    /// Returns a warning about symbols that all versions of the library share.
     pub(crate) fn unique_warning(&self) -> Option<String> {
         let symbol = self.unique_symbol?;
         Some(format!(
@@ -393,7 +393,8 @@ fn unique_symbol<'a>(file: File<'a>, sections: &[Section<'a>]) -> Option<&'a str
     unique.filter_map(|s| text_at(strings, le32(&s[0..4]).into())).find(|name| !is_of_std(name))
 }
 
-/// A constant or guard of namespace `std`, mangled: the same in every version of a plugin, and no flag of its build hides it.
+/// A constant or guard of namespace `std`, mangled: the same in every version of a plugin, and no flag of its
+/// build hides it.
 fn is_of_std(symbol: &str) -> bool {
     let name = symbol.strip_prefix("_ZGV").or_else(|| symbol.strip_prefix("_Z")).unwrap_or("");
     let name = name.trim_start_matches(['Z', 'N', 'K']);

@@ -1,6 +1,7 @@
 //! Every reason why a plugin file, a class or a plugin store is refused.
 //!
-//! Invariant: variants hold values; the sentence with its remedy is written once, in `Display`, and fits on one line.
+//! Invariant: variants hold values; the sentence with its remedy is written once, in `Display`, and fits on
+//! one line.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -14,7 +15,8 @@ use super::{Hash, libraries};
 pub enum PluginError {
     /// One file is not acceptable.
     Refused { file: PathBuf, fault: Fault },
-    /// No listed plugin offers the class; `refused` is a refused file whose name looks like the one asked for.
+    /// No listed plugin offers the class; `refused` is a refused file whose name looks like the one asked
+    /// for.
     ClassNotFound {
         asked: String,
         nearest: Option<String>,
@@ -25,14 +27,14 @@ pub enum PluginError {
     ClassAmbiguous { asked: String, offered: Vec<String> },
 }
 
-/// What is wrong with one file.
+/// Fault of one file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Fault {
     Vanished,
     Unreadable {
         because: String,
     },
-    /// The process or the machine has no file or memory left for it: nothing is said about the file.
+    /// The process or the machine has no file or memory left for it: the file itself was not judged.
     Shortage {
         because: String,
     },
@@ -165,7 +167,7 @@ pub enum Fault {
     },
 }
 
-/// How far the vetting child came.
+/// Last stage the vetting child reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// dlopen: constructors of global objects.
@@ -232,7 +234,7 @@ impl Fault {
         }
     }
 
-    /// The file itself is at fault: the same bytes come to the same again, whatever the system has then. A
+    /// Tells whether the file itself is at fault: the same bytes fail again, whatever the system has then. A
     /// crash, a hang or an exit may be for want of a licence, a device or a service, which is there the next
     /// time.
     pub(super) fn is_of_the_file(&self) -> bool {
@@ -342,7 +344,7 @@ impl fmt::Display for Fault {
             Fault::RunPath { path } => write!(
                 f,
                 "carries the library search path `{path}`: put its libraries into the plugin's own directory (not below it) and link \
-                 it with -Wl,-rpath,'$ORIGIN', or put them where the system looks (a directory in /etc/ld.so.conf.d, then ldconfig)"
+                 it with -Wl,-rpath,'$ORIGIN'; or put them where the system looks (a directory in /etc/ld.so.conf.d, then ldconfig)"
             ),
             Fault::Library { name, fault } => write!(f, "brings the library `{name}`, which {fault}"),
             Fault::NameOfTheCopy => write!(

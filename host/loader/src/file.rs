@@ -1,7 +1,7 @@
 //! Reads a plugin file exactly once, through one descriptor, without following it out of its directory.
 //!
-//! Invariant: every later decision is about the bytes returned here; nobody opens the dropped file again. Opening never
-//! blocks (a FIFO) and the size is checked before memory is asked for.
+//! Invariant: every later decision is about the bytes returned here; the dropped file is never opened again.
+//! Opening never blocks (a FIFO) and the size is checked before memory is asked for.
 
 use std::ffi::{CString, OsStr};
 use std::fs::{File, Metadata};
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use super::trust::Ownership;
 use super::{Fault, Hash, Trust};
 
-/// A plugin with all the libraries it brings may have no more, bytes.
+/// Most bytes of a plugin with all the libraries it brings.
 pub(crate) const SIZE_LIMIT: u64 = 256 << 20;
 
 /// A plugin file in memory.
@@ -34,7 +34,7 @@ pub(crate) struct PluginDir {
     fd: OwnedFd,
 }
 
-/// What changes when a file is written, replaced, chmod'ed or touched.
+/// Values that change when a file is written, replaced, chmod'ed or touched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Signature {
     device: u64,
@@ -87,7 +87,7 @@ impl PluginDir {
         Ok(names)
     }
 
-    /// Reads `name`; refuses what is not a regular file of at most `room` bytes that `trust` takes.
+    /// Reads `name`; refuses anything but a regular file of at most `room` bytes that `trust` takes.
     pub(crate) fn read(&self, name: &OsStr, trust: &Trust, room: u64) -> Result<FileBytes, Fault> {
         let file = self.open_beneath(name, trust).map_err(open_fault)?;
         let meta = file.metadata().map_err(unreadable)?;
@@ -144,7 +144,7 @@ impl PluginDir {
     }
 }
 
-/// Reads one file for a person who names it: links are followed and nobody's ownership is judged.
+/// Reads one file that a user names: links are followed and the owner is not judged.
 pub(crate) fn read_named(path: &Path, room: u64) -> Result<FileBytes, Fault> {
     let file = std::fs::OpenOptions::new()
         .read(true)
@@ -162,8 +162,8 @@ pub(crate) fn is_plugin_name(name: &OsStr) -> bool {
     !name.starts_with(b".") && name.ends_with(b".so")
 }
 
-/// Names a library may have that a plugin brings: `libvendor.so`, `libvendor.so.1`. No other file of the
-/// cache is called so.
+/// Tells whether a library that a plugin brings may have this name: `libvendor.so`, `libvendor.so.1`. No
+/// other file of the cache has such a name.
 pub(crate) fn is_library_name(name: &OsStr) -> bool {
     let bytes = name.as_bytes();
     is_plugin_name(name) || (!bytes.starts_with(b".") && bytes.windows(4).any(|part| part == b".so."))

@@ -7,8 +7,8 @@ use std::ffi::c_void;
 use trocar_plugin_api::abi::{Bytes, HostTable, NOT_ACTIVE, Outcome};
 use trocar_plugin_api::{ABI_MAJOR, ABI_MINOR, abi};
 
-/// Takes a line a plugin logs outside any instance: plugin name, level (`abi::LOG_*`), target, message. Any thread,
-/// also from a `step`, so it must not wait.
+/// Takes a line a plugin logs outside any instance: plugin name, level (`abi::LOG_*`), target, message. Any
+/// thread, also from a `step`, so it must not wait.
 pub type LogFn = fn(plugin: &str, level: u32, target: &str, message: &str);
 
 /// Hands plugin lines to the `log` crate.

@@ -1,4 +1,4 @@
-//! Everything that can be said about a plugin file without running a byte of it.
+//! Everything that can be told about a plugin file without running a byte of it.
 //!
 //! Invariant: pure over the bytes of the file and of the libraries it brings, except for the question which
 //! libraries this system has.
@@ -12,7 +12,7 @@ use super::elf::{self, Elf};
 use super::file::{self, SIZE_LIMIT};
 use super::{Fault, Hash, PluginError, manifest};
 
-/// What `trocar plugin inspect` shows.
+/// Output of `trocar plugin inspect`.
 #[derive(Clone, Debug)]
 pub struct Inspection {
     pub file: PathBuf,
@@ -29,11 +29,11 @@ pub struct Inspection {
     pub needed: Vec<String>,
     /// Libraries beside it that are taken into the cache with it, each under its name.
     pub brought: Vec<(String, Hash)>,
-    /// What is not wrong enough to refuse it.
+    /// Faults that are no reason to refuse it.
     pub warnings: Vec<String>,
 }
 
-/// What the bytes say.
+/// Facts the bytes tell.
 pub struct Facts {
     pub manifest: Manifest,
     pub needed: Vec<String>,
@@ -41,7 +41,7 @@ pub struct Facts {
     pub warnings: Vec<String>,
 }
 
-/// Inspects a file somebody names; ownership and trust are not judged.
+/// Inspects a file a user names; ownership and trust are not judged.
 ///
 /// # Errors
 /// The same sentence the file would be refused with in a plugin directory.

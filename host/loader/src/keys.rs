@@ -1,12 +1,12 @@
-//! Keys of a manifest that no version of the format up to this host's has: mostly a slip of the pen.
+//! Keys of a manifest that no version of the format up to this host's has: mostly typing errors.
 //!
-//! Invariant: the table names every key `trocar_plugin_api::manifest` reads, and nothing else; a test compares. Keys that
-//! begin with `x-` are the author's own and are never looked at.
+//! Invariant: the table names every key `trocar_plugin_api::manifest` reads, and nothing else; a test
+//! compares. Keys that begin with `x-` are the author's own and are never looked at.
 
 use serde_json::Value;
 
-/// What an object of a kind may hold: each key and the kind of the object, or of each object of the list, behind it; "" for
-/// values that are looked at elsewhere.
+/// Content of an object of each kind: each key and the kind of the object, or of each object of the list,
+/// behind it; "" for values that are checked elsewhere.
 const KINDS: &[(&str, &[(&str, &str)])] = &[
     (
         "manifest",

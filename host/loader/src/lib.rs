@@ -1,7 +1,8 @@
 //! The plugin directory → vetted, cached, loaded classes.
 //!
-//! Invariant: check, then run. No byte of a plugin executes in this process before its file was read once, judged, described
-//! by its manifest, and survived in a child process; and nothing but the cache is ever given to the dynamic linker.
+//! Invariant: check, then run. No byte of a plugin executes in this process before its file was read once,
+//! judged, described by its manifest, and survived in a child process; and nothing but the cache is ever
+//! given to the dynamic linker.
 
 mod beside;
 mod cache;

@@ -1,7 +1,7 @@
 //! Tells whether a library a plugin needs can be found by the dynamic linker, without loading anything.
 //!
-//! Invariant: may say "found" for a library that turns out unusable (the vetting child then says why), never "missing" for
-//! one that `dlopen` would find.
+//! Invariant: may say "found" for a library that turns out unusable (the vetting child then says why), never
+//! "missing" for one that `dlopen` would find.
 
 use std::path::Path;
 
@@ -39,8 +39,8 @@ pub(crate) fn is_available(soname: &str) -> bool {
     }
 }
 
-/// The dynamic linker takes no search path from the environment: the program has capabilities of its file, or
-/// runs as another user than who started it.
+/// Tells whether the dynamic linker takes no search path from the environment: the program has capabilities
+/// of its file, or runs as another user than the one that started it.
 pub(crate) fn is_secured() -> bool {
     // SAFETY: asks what the kernel told this process when it began.
     unsafe { libc::getauxval(libc::AT_SECURE) != 0 }

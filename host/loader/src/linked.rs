@@ -1,7 +1,7 @@
 //! Plugins that are linked into the program: a manifest and an entry, no file.
 //!
-//! Invariant: the same checks of manifest and entry as for a file, in the same order; what differs is only that nothing is
-//! opened, so there is nothing to trust, to cache or to try out in a child process first.
+//! Invariant: the same checks of manifest and entry as for a file, in the same order; the only difference is
+//! that nothing is opened, so there is nothing to trust, to cache or to try out in a child process first.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -21,8 +21,8 @@ pub struct LinkedPlugin {
     classes: Vec<&'static ClassTable>,
 }
 
-// SAFETY: the tables are immutable statics of the program, and their entries may be called from any thread under the
-// rules of the contract, which the LCM keeps.
+// SAFETY: the tables are immutable statics of the program, and their entries may be called from any thread
+// under the rules of the contract, which the LCM keeps.
 unsafe impl Send for LinkedPlugin {}
 // SAFETY: as above.
 unsafe impl Sync for LinkedPlugin {}
@@ -33,7 +33,8 @@ impl std::fmt::Debug for LinkedPlugin {
     }
 }
 
-/// What was linked already, by the address of its table: several hosts may live in one program, and `init` is called once.
+/// Plugins linked already, by the address of their table: several hosts may live in one program, and `init`
+/// is called once.
 static LINKED: Mutex<BTreeMap<usize, Arc<LinkedPlugin>>> = Mutex::new(BTreeMap::new());
 
 impl LinkedPlugin {

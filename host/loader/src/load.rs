@@ -1,6 +1,7 @@
 //! dlopen and the first calls into a plugin, the same code in the vetting child and in the host.
 //!
-//! Invariant: only a cache file is opened, and nothing is called through a table that `table.rs` has not checked.
+//! Invariant: only a cache file is opened, and nothing is called through a table that `table.rs` has not
+//! checked.
 
 use std::ffi::c_int;
 use std::mem::ManuallyDrop;
@@ -44,8 +45,8 @@ pub struct LoadedClass {
     pub plugin: Arc<LoadedPlugin>,
 }
 
-// SAFETY: the tables are immutable for the life of the process, and their entries may be called from any thread under the
-// rules of the contract, which the LCM keeps.
+// SAFETY: the tables are immutable for the life of the process, and their entries may be called from any
+// thread under the rules of the contract, which the LCM keeps.
 unsafe impl Send for LoadedPlugin {}
 // SAFETY: as above.
 unsafe impl Sync for LoadedPlugin {}
@@ -63,10 +64,9 @@ impl LoadedPlugin {
     pub(super) unsafe fn close(self) {
         let _loading = Loading::begin();
         let name = self.manifest.name;
-        // The class tables are copies that stay. Whoever calls through one holds this plugin beside it: a
-        // `LoadedClass` in each instance, and in the rows of one of another process; so nobody is inside or
-        // can come. What is left in thread-locals with destructors is counted by glibc, which then keeps the
-        // library.
+        // The class tables are copies that stay. A caller through one holds this plugin beside it: a
+        // `LoadedClass` in each instance, and in the rows of one of another process; so no caller is inside
+        // or can come. Thread-locals with destructors are counted by glibc, which then keeps the library.
         match ManuallyDrop::into_inner(self.library).close() {
             Ok(()) => log::info!("plugin {name}: its library {} was closed", self.hash.short()),
             Err(error) => log::warn!("plugin {name}: its library cannot be closed: {error}"),
@@ -80,7 +80,7 @@ impl LoadedPlugin {
     }
 }
 
-/// What the child reports and the host may also meet.
+/// Fault the child reports and the host may also meet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LoadFault {
@@ -106,7 +106,7 @@ pub enum LoadFault {
     },
     Init {
         status: i32,
-        /// The error it logged then; empty when it said nothing.
+        /// Last error it logged; empty when it logged none.
         #[serde(default)]
         said: String,
     },
@@ -146,12 +146,13 @@ struct Opened {
 static LOADS: (AtomicU64, AtomicU64) = (AtomicU64::new(0), AtomicU64::new(0));
 /// When the last one began, ns.
 static BEGAN_NS: AtomicU64 = AtomicU64::new(0);
-/// One at a time: each has to find the process as it was before, and to leave it so. The dynamic linker has such a lock anyway.
+/// Lets one load run at a time: each has to find the process as it was before, and to leave it so. The
+/// dynamic linker has such a lock anyway.
 static ONE: Mutex<()> = Mutex::new(());
 /// A load that takes longer hangs, ns: it will put nothing back.
 const HANGS_NS: u64 = 10_000_000_000;
 
-/// A load under way. What the process is found to be meanwhile is the load's doing, and its own to put back.
+/// A load under way. It may change the state of the process meanwhile, and puts that back itself.
 pub struct Loading(#[expect(dead_code, reason = "held")] MutexGuard<'static, ()>);
 
 impl Loading {
@@ -178,8 +179,8 @@ pub fn moment() -> Moment {
     Moment(LOADS.1.load(Ordering::SeqCst))
 }
 
-/// A plugin's code was being loaded at that moment, or at any time since, and does not hang. Asked after the look that it is to
-/// explain.
+/// Tells whether a plugin's code was being loaded at that moment, or at any time since, and does not hang.
+/// Call it after the look that it is to explain.
 pub fn has_loaded_since(moment: Moment) -> bool {
     let began = LOADS.0.load(Ordering::SeqCst);
     let is_inside = began != LOADS.1.load(Ordering::SeqCst);
@@ -214,7 +215,7 @@ pub(crate) fn load(
     loaded
 }
 
-/// A variable that a library sets for itself while it is loaded is set for everybody.
+/// Tells of a variable that a library sets while it is loaded: it is set for the whole process.
 fn tell_environment(plugin: &str, before: Option<Environment>) {
     if let (Some(before), Some(now)) = (before, Environment::look())
         && let Some(said) = now.said_since(&before)
@@ -279,7 +280,8 @@ fn note(_plugin: &str, level: u32, _target: &str, message: &str) {
     }
 }
 
-/// What the vetting child does: everything the host does to load it, and the layout as well. No instance is made.
+/// Runs in the vetting child: everything the host does to load the plugin, and the layout as well. No
+/// instance is made.
 pub(crate) fn try_out(
     path: &Path,
     manifest: &Manifest,
@@ -309,7 +311,8 @@ fn open(
 ) -> Result<Opened, LoadFault> {
     stage(Stage::Loading);
     const FLAGS: c_int = RTLD_NOW | RTLD_LOCAL;
-    // SAFETY: runs the library's constructors. In the host that happens only after a child process survived it.
+    // SAFETY: runs the library's constructors. In the host that happens only after a child process survived
+    // it.
     let library = unsafe { Library::open(Some(path), FLAGS) }.map_err(|e| classify(&chain(&e), path))?;
     if judge_layout {
         stage(Stage::Layout);

@@ -1,8 +1,8 @@
-//! From the bytes of the note to a manifest every later reader may rely on.
+//! Turns the bytes of the note into a manifest every later reader may rely on.
 //!
-//! Invariant: after `read`, names are plain and unique, every type reference resolves without a cycle, every field
-//! lies inside its struct, and a host lists every class. The ABI version is looked at before anything else, so a newer
-//! manifest is never "not understood".
+//! Invariant: after `read`, names are plain and unique, every type reference resolves without a cycle, every
+//! field lies inside its struct, and a host lists every class. The ABI version is looked at before anything
+//! else, so a newer manifest is never "not understood".
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -26,7 +26,7 @@ pub(crate) fn read(note: &[u8]) -> Result<Manifest, Fault> {
     read_warned(note).map(|(manifest, _)| manifest)
 }
 
-/// As [`read`], with what is strange and yet taken: keys that only a newer minor can know.
+/// As [`read`], with warnings of what is strange and yet taken: keys that only a newer minor can know.
 pub(crate) fn read_warned(note: &[u8]) -> Result<(Manifest, Vec<String>), Fault> {
     #[derive(Deserialize)]
     struct Version {
@@ -72,7 +72,8 @@ fn check(manifest: &Manifest) -> Result<(), String> {
         check_name("class", &class.name)?;
         check_class(class, &mut types).map_err(|e| format!("class `{}`: {e}", class.name))?;
     }
-    // What a host makes of it when it lists the classes: whoever looks at the file gets the host's own verdict.
+    // The host does the same when it lists the classes: a tool that checks the file gets the host's own
+    // verdict.
     convert::classes(manifest, "").map(drop)
 }
 
@@ -106,7 +107,7 @@ fn check_class<'a>(class: &'a Class, types: &mut Types<'a>) -> Result<(), String
         return Err(format!("its config schema has the type {said}: a configuration is an \"object\""));
     }
     if let Some(wrong) = trocar_model::schema_fault(&class.config) {
-        return Err(format!("its config schema is no JSON Schema: {wrong}"));
+        return Err(format!("its config schema is not a JSON Schema: {wrong}"));
     }
     if let Some(wrong) = trocar_model::idle_limit(&class.config) {
         return Err(format!("its config schema: {wrong}"));

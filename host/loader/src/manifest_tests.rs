@@ -1,4 +1,4 @@
-//! Which manifests are taken, and what is said about the others.
+//! Manifests that are taken, and the refusals of the others.
 #![allow(clippy::unwrap_used)]
 
 use serde_json::{Value, json};
@@ -29,7 +29,7 @@ fn setting(gain: Value) -> Value {
     json!({"type": "object", "properties": {"gain": gain}})
 }
 
-/// What is said when the value at `pointer` is replaced.
+/// Returns the refusal when the value at `pointer` is replaced.
 fn refusal(pointer: &str, value: Value) -> String {
     let mut manifest = good();
     *manifest.pointer_mut(pointer).unwrap_or_else(|| panic!("no {pointer}")) = value;
@@ -66,7 +66,7 @@ fn what_is_wrong_is_named() {
             json!("vod"),
             "there are void, write, read, qualified_read",
         ),
-        // What only the listing of the classes finds.
+        // Faults only the listing of the classes finds.
         ("/classes/0/inputs/1/name", json!("system"), "may not be named system"),
         ("/classes/0/inputs/1/name", json!("tap_events"), "may not be named tap_events: every component has"),
         ("/types/0/fields/1/unit", json!("newton"), "did you mean `N`?"),
@@ -184,7 +184,7 @@ fn every_key_that_is_read_is_known_and_no_other() {
             fields.insert(renamed.take().unwrap_or_else(|| name.to_owned()));
         }
     }
-    // Of `Description`, which is not part of a manifest.
+    // Field of `Description`, which is not part of a manifest.
     fields.remove("class");
     assert_eq!(fields, keys::all());
 }
@@ -204,7 +204,7 @@ fn a_configuration_is_an_object_with_a_schema_that_is_one() {
     for (schema, said) in [
         (json!({"type": "objekt"}), "config schema has the type \"objekt\""),
         (json!({}), "config schema has the type none"),
-        (json!({"type": "object", "properties": {"a": {"type": "numbre"}}}), "is no JSON Schema"),
+        (json!({"type": "object", "properties": {"a": {"type": "numbre"}}}), "is not a JSON Schema"),
     ] {
         let mut manifest = good();
         manifest["classes"][0]["config"] = schema;

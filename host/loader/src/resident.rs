@@ -1,8 +1,8 @@
 //! The file that the dynamic linker has in this process under the name of a library.
 //!
 //! Invariant: glibc knows a library by the name it was needed as and by its DT_SONAME, whatever its path and
-//! however local it was opened: who needs a name that is there already gets that one. So a plugin is loaded
-//! only where each name it needs is free, or stands for the very bytes the child tried.
+//! however local it was opened: a library that needs a name that is there already gets that one. So a plugin
+//! is loaded only where each name it needs is free, or stands for the very bytes the child tried.
 
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::os::unix::ffi::OsStrExt;

@@ -1,9 +1,9 @@
 //! Looks at the plugin directories and reads what is new in them.
 //!
-//! Invariant: a file is opened again only when its signature changed, that of a library beside it which it
-//! needs, or when one is there that was missing; a file that is still being written (young, and not seen
-//! closed) is not opened yet: it keeps its last outcome, or stays invisible. What the process has no files or
-//! memory left to look at stays as it was.
+//! Invariant: a file is opened again only when its signature changed, or that of a library beside it which it
+//! needs, or when such a library is there that was missing. A file that is still being written (young, and
+//! not seen closed) is not opened yet: it keeps its last outcome, or stays invisible. A file the process has
+//! no descriptors or memory left to look at stays as it was.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
@@ -18,10 +18,10 @@ use super::{Fault, ListedPlugin, Trust, inspect, libraries};
 
 /// A file without a close event counts once its size and mtime did not change for this long.
 pub(crate) const SETTLE: Duration = Duration::from_millis(200);
-/// The same for a file somebody was seen to write to and not yet to close: a copy may pause.
+/// The same for a file that was seen to be written to and not yet closed: a copy may pause.
 const SETTLE_WHILE_WRITTEN: Duration = Duration::from_secs(10);
 
-/// What is remembered of each file between two looks.
+/// State of each file, kept between two looks.
 #[derive(Default)]
 pub(crate) struct Scanner {
     seen: BTreeMap<PathBuf, Seen>,
@@ -39,7 +39,7 @@ struct Seen {
     current: bool,
 }
 
-/// Files, and what they were; none where there was no file.
+/// Files, and their signatures; none where there was no file.
 type Beside = Vec<(PathBuf, Option<Signature>)>;
 
 /// One look at all directories.
@@ -50,8 +50,8 @@ pub(crate) struct Scan {
 }
 
 impl Scanner {
-    /// `closed` names files whose writer was seen to close them or to rename them into place, `writing` those whose
-    /// writer was not.
+    /// Looks at all directories once. `closed` names files whose writer was seen to close them or to rename
+    /// them into place, `writing` those whose writer was not.
     pub(crate) fn scan(
         &mut self,
         dirs: &[PathBuf],
@@ -70,7 +70,7 @@ impl Scanner {
                         log::warn!("plugin directory {} cannot be read: {error}", path.display());
                     }
                     if is_shortage(&error) {
-                        // The process is short of it, which says nothing about what lies there.
+                        // The process is short of files or memory, which says nothing about the directory.
                         scan.unsettled = true;
                         for (file, seen) in self.seen.iter().filter(|(file, _)| file.parent() == Some(path)) {
                             present.insert(file.clone());
@@ -207,7 +207,7 @@ fn look_into(dir: &PluginDir, name: &OsStr, file: &Path, trust: &Trust, looked_f
     Ok(Arc::new(plugin))
 }
 
-/// A library that a plugin brings is no plugin, and nobody takes it for one.
+/// Leaves out the libraries that plugins bring: they are no plugins themselves.
 fn leave_out_brought(findings: &mut Vec<Finding>) {
     let plugins = findings.iter().filter_map(|finding| finding.outcome.as_ref().ok());
     let brought = |plugin: &Arc<ListedPlugin>| -> Vec<PathBuf> {

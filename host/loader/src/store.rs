@@ -1,7 +1,9 @@
-//! The plugin store of a host: what is in its directories, and the way from a class name to a loaded class.
+//! The plugin store of a host: the content of its directories, and the way from a class name to a loaded
+//! class.
 //!
-//! Invariant: a file's bytes are read once; what is loaded is what was hashed and inspected. One scan at a time, and its
-//! news are told in order. Locks are never held while a plugin's code or a child process runs, except that plugin's own.
+//! Invariant: a file's bytes are read once; the loaded bytes are those that were hashed and inspected. One
+//! scan at a time, and its news is told in order. Locks are never held while a plugin's code or a child
+//! process runs, except that plugin's own.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -16,7 +18,7 @@ use super::scan::{SETTLE, Scanner};
 use super::vet::{self, VET_LIMIT};
 use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog, closing};
 
-/// Where plugins come from and what is done with them.
+/// Source of plugins, and the rules for them.
 #[derive(Clone, Debug)]
 pub struct PluginStoreConfig {
     /// Watched directories; the first one wins where two files have the same plugin name.
@@ -26,7 +28,7 @@ pub struct PluginStoreConfig {
     pub trust: Trust,
     /// The binary that knows the hidden subcommand `__vet`: `std::env::current_exe()` in a host.
     pub host_exe: PathBuf,
-    /// Where plugins log to outside their instances.
+    /// Log of plugins outside their instances.
     pub log: LogFn,
 }
 
@@ -63,7 +65,8 @@ pub(super) struct Observer {
     pub(super) tell: Box<dyn Fn(&CatalogChange) + Send>,
 }
 
-/// All that looks like a plugin in these directories, at one look: nothing is tried, and nothing kept.
+/// Returns all that looks like a plugin in these directories, at one look: nothing is tried, and nothing
+/// kept.
 ///
 /// # Errors
 /// A directory that is missing, no directory, unreadable.
@@ -114,8 +117,8 @@ impl PluginStore {
         &self.config.dirs
     }
 
-    /// Looks at the directories now; waits up to half a second for files that are just being written. Observers hear of
-    /// changes on this thread, before it returns, so an observer must not call this.
+    /// Looks at the directories now; waits up to half a second for files that are just being written.
+    /// Observers hear of changes on this thread, before it returns, so an observer must not call this.
     pub fn rescan(&self) {
         for _ in 0..3 {
             if !self.scan(&BTreeSet::new()) {
@@ -126,8 +129,8 @@ impl PluginStore {
     }
 
     /// Looks again at the files of this plugin's or file's name, at all where it is empty, as if nothing was
-    /// known of them; those that were tried before, or are named, are tried anew in the child process. Waits
-    /// for that. What is loaded stays. Not for an observer, as [`PluginStore::rescan`].
+    /// known of them. Files that were tried before, or are named, are tried anew in the child process. Waits
+    /// for that. Loaded code stays. Not for an observer, as [`PluginStore::rescan`].
     pub fn recheck(&self, name: &str) {
         lock(&self.scanner).forget(name);
         self.rescan();
@@ -238,11 +241,12 @@ impl PluginStore {
         PluginError::ClassNotFound { asked: asked.into(), nearest, available, refused }
     }
 
-    /// Cache, vet, dlopen, `init`: milliseconds the first time, a look-up afterwards. Blocking; several threads may call.
+    /// Loads a class. Cache, vet, dlopen, `init`: milliseconds the first time, a look-up afterwards.
+    /// Blocking; several threads may call.
     ///
     /// # Errors
-    /// What the vetting child or the dynamic linker says; the host is unharmed. What the file itself does wrong is said
-    /// again at once; what the system lacks is looked for again.
+    /// The fault the vetting child or the dynamic linker tells; the host is unharmed. A fault of the file
+    /// itself is told again at once; anything the system lacks is looked for again.
     pub fn load(&self, class: &ClassRef) -> Result<LoadedClass, PluginError> {
         let plugin = &class.plugin;
         let refused = |fault| PluginError::Refused { file: plugin.file.clone(), fault };
@@ -279,7 +283,7 @@ impl PluginStore {
         self.noting(plugin, self.vetted(plugin).and_then(load))
     }
 
-    /// The copy in the cache, with what went into it, that a child process has come back from.
+    /// Returns the copy in the cache, with its content, that a child process has come back from.
     fn vetted(&self, plugin: &ListedPlugin) -> Result<(PathBuf, Arc<Content>), Fault> {
         let content = plugin.content().ok_or(Fault::Vanished)?;
         let path = self.cache.put(&plugin.hash, plugin.name(), &content)?;
@@ -290,7 +294,7 @@ impl PluginStore {
         Ok((path, content))
     }
 
-    /// Keeps what came of a plugin's code.
+    /// Keeps the outcome of a plugin's code.
     fn noting<T>(&self, plugin: &ListedPlugin, outcome: Result<T, Fault>) -> Result<T, Fault> {
         match &outcome {
             Ok(_) => drop(lock(&self.failed).remove(&plugin.hash)),
@@ -299,8 +303,8 @@ impl PluginStore {
         outcome
     }
 
-    /// Takes those libraries out of the process that say so and of which nothing is left. The caller has the
-    /// scanner, so that no file of theirs is listed meanwhile.
+    /// Takes the libraries out of the process that ask for it and of which nothing is left. The caller has
+    /// the scanner, so that no file of theirs is listed meanwhile.
     fn close_unused(&self, listed: &BTreeSet<Hash>) {
         let slots = lock(&self.loaded);
         let unlisted = slots.iter().filter(|(hash, _)| !listed.contains(hash));
@@ -331,12 +335,12 @@ impl PluginStore {
         }
     }
 
-    /// Old versions go from the cache, but for those whose code is here, or on its way.
+    /// Removes old versions from the cache, but for those whose code is loaded or being loaded.
     fn prune(&self, mut keep: BTreeSet<Hash>) {
         let loaded = lock(&self.loaded);
         let used = loaded.iter().filter(|(_, slot)| slot.try_lock().map_or(true, |loaded| loaded.is_some()));
         keep.extend(used.map(|(hash, _)| *hash));
-        // Held until then: who loads enters its slot first.
+        // Held until then: a load enters its slot first.
         self.cache.prune(&keep);
         drop(loaded);
     }
@@ -351,12 +355,12 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file, or its plugin, is meant by a name; every one by an empty name.
+/// Tells whether a name means a file or its plugin; an empty name means every one.
 pub(super) fn is_called(name: &str, file: &Path, plugin: Option<&str>) -> bool {
     name.is_empty() || plugin == Some(name) || file.file_name().is_some_and(|own| own == name)
 }
 
-/// Whether it can be looked into.
+/// Checks that the directory can be looked into.
 ///
 /// # Errors
 /// It is missing, no directory, unreadable.

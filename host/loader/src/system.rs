@@ -1,7 +1,7 @@
-//! The system interface every component has without any code: its types, and how its reads are answered.
+//! The system interface every component has without any code: its types, and the answers to its reads.
 //!
-//! Invariant: it is the last provided interface of every class, so ids of the class's own commands and events stay what
-//! the plugin's manifest says.
+//! Invariant: it is the last provided interface of every class, so ids of the class's own commands and events
+//! stay what the plugin's manifest says.
 
 use std::sync::Arc;
 
@@ -191,7 +191,7 @@ impl Put<'_> {
         self.bytes(&word.to_le_bytes());
     }
 
-    /// Cut at a character boundary; the tail stays zero.
+    /// Writes a text, cut at a character boundary; the tail stays zero.
     fn text(&mut self, text: &str, room: usize) {
         let cut = text.floor_char_boundary(room);
         self.word(cut as u64);

@@ -1,8 +1,8 @@
 //! The tables a plugin's entry returns: checked against its manifest before anything is called through them.
 //!
-//! Invariant: a table is read no further than its `struct_size`; names, counts and versions must equal the manifest's, and
-//! every entry the description makes necessary is there. What is handed on are complete copies of the class tables, so
-//! nobody later needs to ask `has_entry`.
+//! Invariant: a table is read no further than its `struct_size`; names, counts and versions must equal the
+//! manifest's, and every entry the description makes necessary is there. Later code gets complete copies of
+//! the class tables, so it never needs to ask `has_entry`.
 
 use std::mem::{MaybeUninit, offset_of};
 
@@ -33,8 +33,8 @@ pub(super) unsafe fn check_table(
     }
     // SAFETY: both fields lie inside the table.
     let abi = unsafe { [(&raw const (*table).abi_major).read(), (&raw const (*table).abi_minor).read()] };
-    // The manifest's major is the host's, or nothing of the plugin would have run. Minors may differ: a manifest is written
-    // by hand, and the header it is compiled with may be newer.
+    // The manifest's major is the host's, or nothing of the plugin would have run. Minors may differ: a
+    // manifest is written by hand, and the header it is compiled with may be newer.
     if abi[0] != ABI_MAJOR {
         let [[a, b], [c, d]] = [manifest.abi, abi];
         return Err(format!("ABI {a}.{b} in the manifest, {c}.{d} in the entry"));
@@ -75,7 +75,8 @@ pub(super) unsafe fn check_table(
         let name = unsafe { text((&raw const (*table).name).read())? };
         same("class", &class.name, name)?;
         size_fits(&format!("the table of class `{}`", class.name), size, size_of::<ClassTable>(), abi)?;
-        // SAFETY: its first `size` bytes were written by the plugin, and the size makes sense for its version.
+        // SAFETY: its first `size` bytes were written by the plugin, and the size makes sense for its
+        // version.
         let whole = unsafe { copy(table) };
         if let Some((entry, because)) = missing(&whole, class) {
             return Err(format!("class `{}` has {because}, but its entry `{entry}` is null", class.name));
@@ -85,7 +86,7 @@ pub(super) unsafe fn check_table(
     Ok(tables)
 }
 
-/// A table of this host's version, or of an earlier one, is not larger than this host knows it.
+/// Checks that a table of this host's version, or of an earlier one, is not larger than this host knows it.
 fn size_fits(what: &str, size: u32, known: usize, [major, minor]: [u32; 2]) -> Result<(), String> {
     let largest = if minor <= ABI_MINOR { known } else { LARGEST };
     if size as usize <= largest {
@@ -94,7 +95,7 @@ fn size_fits(what: &str, size: u32, known: usize, [major, minor]: [u32; 2]) -> R
     Err(format!("{what} says it has {size} bytes, and one of ABI {major}.{minor} has at most {largest}"))
 }
 
-/// The first entry that is null although the description makes it necessary, and what makes it so.
+/// Returns the first entry that is null although the description makes it necessary, and what makes it so.
 fn missing(table: &ClassTable, class: &Class) -> Option<(&'static str, &'static str)> {
     let commands = || class.provided.iter().flat_map(|p| &p.commands);
     let is_read = |kind: &str| matches!(kind, "read" | "qualified_read");

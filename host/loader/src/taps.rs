@@ -1,6 +1,7 @@
-//! Taps: the outputs every component has without any code, for whoever records what it does. Their names and types.
+//! Taps: the outputs every component has without any code, for recorders of its work. Their names and types.
 //!
-//! Invariant: they are the last outputs of every class, so positions of its own outputs stay what the plugin's manifest says.
+//! Invariant: they are the last outputs of every class, so positions of its own outputs stay what the
+//! plugin's manifest says.
 
 use std::sync::Arc;
 
@@ -12,7 +13,8 @@ pub const HEAD: usize = 16;
 /// Bytes kept of a payload at most.
 pub const MOST: usize = 4096;
 
-/// Types nested deeper are not described within a tap's type: whoever reads descriptions reads 32 levels, and two are the tap's own.
+/// Types nested deeper are not described within a tap's type: a reader of descriptions reads 32 levels, and
+/// two are the tap's own.
 const DEEPEST: usize = 30;
 
 /// Outcomes as a command's sample names them.
@@ -68,7 +70,8 @@ pub fn append(ports: &mut Ports) {
     ports.outputs.extend(all);
 }
 
-/// Rows, events and commands hold what tagged ports tell: they go nowhere those may not go.
+/// Returns the tag of the taps: rows, events and commands hold what tagged ports tell, so they go nowhere
+/// those may not go.
 fn tag(ports: &Ports) -> Tag {
     let outputs = ports.outputs.iter().map(|output| output.tag);
     let tagged =
@@ -101,8 +104,8 @@ fn commands(ports: &Ports) -> Vec<Member<'_>> {
         .collect()
 }
 
-/// What tells of any of `members`. Behind the bytes stand fields without length: for each member with a payload an array of none of
-/// that type, which describes it field by field.
+/// Returns the type that tells of any of `members`. Behind the bytes stand fields without length: for each
+/// member with a payload an empty array of that type, which describes it field by field.
 fn told(name: &str, members: &[Member<'_>], outcome: bool) -> Type {
     let size = |member: &Member<'_>| member.payload.map_or(0, Type::size);
     let room = members.iter().map(size).max().unwrap_or(0).min(MOST).next_multiple_of(8);
@@ -147,7 +150,7 @@ fn told(name: &str, members: &[Member<'_>], outcome: bool) -> Type {
     Type::Struct(Arc::new(StructType { name: name.into(), doc, size: HEAD + room, align: 8, fields: all }))
 }
 
-/// How deep a type is nested.
+/// Returns the depth of nesting of a type.
 fn levels(ty: &Type) -> usize {
     match ty {
         Type::Array { item, .. } | Type::List { item, .. } => 1 + levels(item),

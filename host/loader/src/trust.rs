@@ -1,6 +1,7 @@
-//! Whose plugin files this host takes, decided from ownership, mode and hash alone.
+//! Decides which plugin files this host takes, from ownership, mode and hash alone.
 //!
-//! Invariant: deciding is pure; nothing here opens a plugin. The strict mode only ever refuses more than `dev`.
+//! Invariant: deciding is pure; nothing here opens a plugin. The strict mode only ever refuses more than
+//! `dev`.
 
 use std::collections::BTreeSet;
 use std::io::Read;
@@ -29,7 +30,7 @@ pub struct AllowList {
     hashes: BTreeSet<Hash>,
 }
 
-/// What `fstat` says about an opened file, and who asks.
+/// Result of `fstat` on an opened file, and the user that asks.
 #[derive(Clone, Copy, Debug)]
 pub struct Ownership {
     pub uid: u32,

@@ -1,4 +1,4 @@
-//! What each trust mode takes and refuses, as pure decisions; reading of allow lists.
+//! Decisions of each trust mode, as pure functions; reading of allow lists.
 #![allow(clippy::unwrap_used)]
 
 use super::*;

@@ -1,7 +1,8 @@
-//! Tries a plugin out in a child process, so that what kills a process kills that one.
+//! Tries a plugin out in a child process, so that a fatal fault kills that one only.
 //!
-//! Invariant: the child is spawned (never forked by hand), bounded in time, and always reaped; only what it says in lines of
-//! our own prefix counts, whatever the plugin prints. The host loads nothing the child did not come back from.
+//! Invariant: the child is spawned (never forked by hand), bounded in time, and always reaped; only its lines
+//! with the host's own prefix count, whatever the plugin prints. The host loads nothing the child did not
+//! come back from.
 
 use std::collections::VecDeque;
 use std::io::{self, Read};
@@ -24,14 +25,14 @@ use super::{Fault, PluginError};
 
 /// Hidden subcommand of the host binary: `__vet FILE`.
 pub const VET_ARG: &str = "__vet";
-/// How long constructors, layout, entry and init may take together: so short that a Create without a deadline of its own
-/// still answers what it came to.
+/// Longest time for constructors, layout, entry and init together: so short that a Create without a deadline
+/// of its own still answers with the result.
 pub(crate) const VET_LIMIT: Duration = Duration::from_secs(3);
-/// The child may take so long until it touches the file: its own code runs on a machine that may be busy.
+/// Longest time until the child touches the file: its own code runs on a machine that may be busy.
 pub(crate) const BEGIN_LIMIT: Duration = Duration::from_secs(20);
-/// Begins every line of the child that is meant for us.
+/// Prefix of every line of the child that is meant for the host.
 pub(crate) const PREFIX: &str = "trocar-vet ";
-/// More than this the child never says, bytes.
+/// Most bytes of the child's report.
 const REPORT_LIMIT: u64 = 64 << 10;
 
 /// Bytes of its standard error that are told, from the end.
@@ -39,8 +40,8 @@ const WORDS_LIMIT: usize = 400;
 /// Time for its last words to arrive after its end.
 const AFTERWARDS: Duration = Duration::from_millis(200);
 
-/// Tries a file somebody names as a host does before it loads it: constructors, tables, entry and init, in a child process
-/// of `exe`, a program that knows the hidden subcommand.
+/// Tries a file a user names as a host does before it loads it: constructors, tables, entry and init, in a
+/// child process of `exe`, a program that knows the hidden subcommand.
 ///
 /// # Errors
 /// The sentence a host would refuse it with.
@@ -52,7 +53,7 @@ pub fn try_file(file: &Path, exe: &Path) -> Result<(), PluginError> {
 
 /// Runs `exe __vet file` and turns what happened into a verdict.
 pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault> {
-    // Where the binary was replaced since this process started, run the one this process is.
+    // Runs the binary of this process where the file was replaced since its start.
     let replaced = exe.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
     let exe = if replaced { Path::new("/proc/self/exe") } else { exe };
     let failed = |e: io::Error| Fault::VetFailed { because: format!("{}: {e}", exe.display()) };
@@ -78,11 +79,11 @@ pub(crate) fn vet(exe: &Path, file: &Path, limit: Duration) -> Result<(), Fault>
     report.verdict(status, limit, &words.map_or_else(String::new, |words| words.said()))
 }
 
-/// The end of what the child says on standard error, however much that is.
+/// The end of the child's output on standard error, however much that is.
 struct LastWords(Arc<Mutex<VecDeque<u8>>>, Receiver<()>);
 
 impl LastWords {
-    /// Reads as long as somebody writes: a pipe that nobody reads would hold the child up.
+    /// Reads as long as the pipe has a writer: a pipe without a reader would hold the child up.
     fn follow(mut from: ChildStderr) -> LastWords {
         let kept = Arc::new(Mutex::new(VecDeque::new()));
         let (told, over) = mpsc::channel();
@@ -103,7 +104,7 @@ impl LastWords {
         LastWords(kept, over)
     }
 
-    /// As one line. A grandchild may hold the pipe open: then what has come by now.
+    /// Returns the words as one line. A grandchild may hold the pipe open: then those that have come by now.
     fn said(self) -> String {
         let _ = self.1.recv_timeout(AFTERWARDS);
         let bytes: Vec<u8> = lock(&self.0).iter().copied().collect();
@@ -113,7 +114,7 @@ impl LastWords {
     }
 }
 
-/// What the child said.
+/// Report of the child.
 #[derive(Debug, Default, PartialEq)]
 struct Report {
     stage: Option<Stage>,
@@ -140,7 +141,7 @@ impl Report {
         report
     }
 
-    /// `status` is none when the child had to be ended.
+    /// Turns the report into a verdict; `status` is none when the child had to be ended.
     fn verdict(self, status: Option<ExitStatus>, limit: Duration, said: &str) -> Result<(), Fault> {
         let said = said.to_string();
         match (self.result, self.stage, status) {
@@ -159,7 +160,7 @@ impl Report {
     }
 }
 
-/// How a stage is written on the wire.
+/// Returns the word for a stage on the wire.
 pub(crate) fn stage_word(stage: Stage) -> &'static str {
     match stage {
         Stage::Loading => "loading",
@@ -186,8 +187,8 @@ fn begins_within(child: &Child, limit: Duration) -> io::Result<bool> {
     wait(child, says, limit)
 }
 
-/// Waits for the end of the child; false when the limit passed. Does not wait for the pipe, which a grandchild
-/// may hold open.
+/// Waits for the end of the child; false when the limit passed. Does not wait for the pipe, which a
+/// grandchild may hold open.
 fn ends_within(child: &Child, limit: Duration) -> io::Result<bool> {
     wait(child, -1, limit)
 }
@@ -237,7 +238,7 @@ fn open_pidfd(pid: u32) -> io::Result<OwnedFd> {
     }
 }
 
-/// Ends the child if it still runs, and whatever it started; then reaps it.
+/// Ends the child if it still runs, and every process it started; then reaps it.
 fn end_group(child: &mut Child) -> io::Result<ExitStatus> {
     if let Ok(group) = i32::try_from(child.id()) {
         // SAFETY: a plain number: the group the child leads, which exists until it is reaped.
@@ -246,7 +247,7 @@ fn end_group(child: &mut Child) -> io::Result<ExitStatus> {
     child.wait()
 }
 
-/// What lies in the pipe now; never waits for more.
+/// Returns the bytes in the pipe now; never waits for more.
 fn read_report(child: &mut Child) -> String {
     let Some(stdout) = child.stdout.take() else { return String::new() };
     // SAFETY: an open descriptor of ours; the call changes only its mode.

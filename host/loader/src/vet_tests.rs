@@ -1,4 +1,4 @@
-//! What the words and the end of a child mean, without a child.
+//! Meaning of the words and the end of a child, without a child.
 
 use super::*;
 

@@ -1,7 +1,7 @@
 //! Tells observers what changes in the plugin directories while the host runs.
 //!
-//! Invariant: events only say when to look; what is there is always found by looking. So a lost event costs at most the
-//! two seconds to the next look, and a network file system that raises none works too.
+//! Invariant: events only say when to look; only a look finds what is there. So a lost event costs at most
+//! the two seconds to the next look, and a network file system that raises none works too.
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::MetadataExt;
@@ -44,8 +44,8 @@ enum Message {
 }
 
 impl PluginStore {
-    /// Calls `callback` for every change from now on, on the watching thread (or on the thread of a `rescan`), in order.
-    /// It must not call `rescan` or `watch`. What is listed now is in `list`.
+    /// Calls `callback` for every change from now on, on the watching thread (or on the thread of a
+    /// `rescan`), in order. It must not call `rescan` or `watch`. What is listed now is in `list`.
     pub fn watch(self: &Arc<Self>, callback: impl Fn(&CatalogChange) + Send + 'static) -> WatchHandle {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         let id = NEXT.fetch_add(1, Ordering::Relaxed);

@@ -1,7 +1,8 @@
 //! A plan: the ordered changes that carry out one request, and their inverse.
 //!
-//! Invariant: a change holds everything needed to undo it; `SystemGraph::apply(plan)` then `apply(inverse(plan))` is the
-//! identity on everything but the revision and the number of the next connection.
+//! Invariant: a change holds everything needed to undo it; `SystemGraph::apply(plan)` then
+//! `apply(inverse(plan))` is the identity on everything but the revision and the number of the next
+//! connection.
 
 use serde_json::Value;
 
@@ -40,7 +41,7 @@ pub enum Change {
     },
     Disconnect {
         connection: Connection,
-        /// The change after it connects the same client end to another source: what requires it is only rewired.
+        /// The next change connects the same client end to another source: its component is only rewired.
         replaced: bool,
     },
 }
@@ -52,14 +53,14 @@ pub struct Skipped {
     pub why: String,
 }
 
-/// What an accepted request will do, in order. Empty `changes` = nothing to do.
+/// Changes of an accepted request, in order. Empty `changes` = nothing to do.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
     pub changes: Vec<Change>,
     pub skipped: Vec<Skipped>,
 }
 
-/// The plan that undoes `plan`.
+/// Returns the plan that undoes `plan`.
 pub fn inverse(plan: &Plan) -> Plan {
     let before = |at: usize| at.checked_sub(1).map(|at| &plan.changes[at]);
     let undone = plan.changes.iter().enumerate().rev().flat_map(|(at, change)| {
@@ -70,8 +71,8 @@ pub fn inverse(plan: &Plan) -> Plan {
     Plan { changes: undone.collect(), skipped: Vec::new() }
 }
 
-/// The change after the making of a component that was destroyed: made, it is CREATED, without a
-/// configuration.
+/// Returns the change that follows when a destroyed component is made again: the made one is CREATED, without
+/// a configuration.
 fn configured_again(change: &Change) -> Option<Change> {
     let Change::Destroy { id, component } = change else { return None };
     let (from_state, to_state) = (State::Created, component.state);
@@ -80,7 +81,7 @@ fn configured_again(change: &Change) -> Option<Change> {
     (to_state != from_state).then_some(again)
 }
 
-/// `before`: the change it came after.
+/// Returns the inverse of one change. `before`: the change it came after.
 fn undo(change: &Change, before: Option<&Change>) -> Change {
     match change.clone() {
         Change::Create { id, component } => Change::Destroy { id, component },
@@ -93,7 +94,7 @@ fn undo(change: &Change, before: Option<&Change>) -> Change {
         }
         Change::Run { id, from, to, .. } => Change::Run { id, verb: way_back(to, from), from: to, to: from },
         Change::Connect { connection } => {
-            // Taken back, a replacement is one again.
+            // A replacement that is taken back is one again.
             let replaced = before.is_some_and(
                 |b| matches!(b, Change::Disconnect { connection: old, replaced: true } if old.client == connection.client),
             );
@@ -103,8 +104,8 @@ fn undo(change: &Change, before: Option<&Change>) -> Change {
     }
 }
 
-/// The verb that leads an LCM from `from` to `to`, or as near to it as is safe: nothing is ever put into motion that did
-/// not move before, and no fault is made again.
+/// Returns the verb that leads an LCM from `from` to `to`, or as near to it as is safe: nothing is ever put
+/// into motion that did not move before, and no fault is made again.
 fn way_back(from: State, to: State) -> Verb {
     match (from, to) {
         (State::Stopped(_), State::Active) => Verb::Resume,

@@ -1,7 +1,7 @@
-//! What a component class offers, as the graph knows it: the manifest's content in the model's own types.
+//! Offers of a component class, as the graph knows them: the manifest's content in the model's own types.
 //!
-//! Invariant: order is the manifest's order; ids of commands, functions, events and handlers are positions over all
-//! interfaces of the class, as in the plugin ABI.
+//! Invariant: order is the manifest's order; ids of commands, functions, events and handlers are positions
+//! over all interfaces of the class, as in the plugin ABI.
 
 use serde_json::Value;
 
@@ -20,7 +20,7 @@ pub struct ClassInfo {
     /// Opens a device.
     pub hardware: bool,
     pub safe_from_any_thread: bool,
-    /// Whether it starts programs, and may.
+    /// Tells whether it starts programs, and may.
     pub programs: Programs,
     /// Defaults; every field is set.
     pub execution: Execution,
@@ -37,7 +37,7 @@ impl ClassInfo {
         format!("{}/{}", self.plugin, self.name)
     }
 
-    /// Whether `process`, whose class it is, lets a component of it be made.
+    /// Tells whether `process`, whose class it is, lets a component of it be made.
     ///
     /// # Errors
     /// ProgramsNotAllowed.
@@ -49,7 +49,7 @@ impl ClassInfo {
     }
 }
 
-/// Whether components of a class start programs of the machine, as the process's user.
+/// Relation of a class's components to programs of the machine, started as the process's user.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Programs {
     /// They start none.
@@ -85,7 +85,7 @@ pub enum ExecutionModel {
     None,
 }
 
-/// Where the thread comes from. In a request unset fields take the class's default.
+/// Source and settings of a component's thread. In a request unset fields take the class's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Execution {
     pub model: Option<ExecutionModel>,
@@ -103,13 +103,14 @@ pub struct Execution {
     pub catch_up: Option<u32>,
     /// Threads that share the work of a stream, its own included; unset = 1.
     pub threads: Option<u32>,
-    /// Longest stay inside its own code before a component without a period counts as unresponsive, ns; unset = 50 ms.
+    /// Longest stay inside its own code before a component without a period counts as unresponsive, ns;
+    /// unset = 50 ms.
     pub max_step_ns: Option<u64>,
     /// Rows its state table keeps, 3 to 65 536; unset = 256.
     pub history: Option<u32>,
-    /// What a filter of a stream does when its step fails.
+    /// Behaviour of a stream's filter when its step fails.
     pub on_failure: Option<OnFailure>,
-    /// How its thread is told that something has come for it; unset = by the length of its period, see [`Execution::polls`].
+    /// Way its thread learns of new work; unset = by the length of its period, see [`Execution::polls`].
     pub wake: Option<Wake>,
 }
 
@@ -124,12 +125,13 @@ pub struct ExecutionLimits {
     pub max_period_ns: Option<u64>,
 }
 
-/// How a thread is told that a sample, command or event has come for one of its components.
+/// Way a thread learns that a sample, command or event has come for one of its components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wake {
-    /// It is woken, if it sleeps: whoever sends pays for that, and it does not wait for the next period.
+    /// The thread is woken, if it sleeps: the sender pays for that, and the work does not wait for the next
+    /// period.
     Signal,
-    /// It looks at each period: whoever sends pays nothing but the push.
+    /// The thread looks at each period: the sender pays nothing but the push.
     Poll,
 }
 
@@ -148,8 +150,8 @@ impl Wake {
 }
 
 impl Execution {
-    /// A thread with these settings looks by itself, at each period, at what has come: as it was asked to, or because its period is
-    /// 10 ms at most.
+    /// Tells whether a thread with these settings looks for new work by itself, at each period: as it was
+    /// asked to, or because its period is 10 ms at most.
     pub fn polls(&self) -> bool {
         let grid = matches!(self.model, Some(ExecutionModel::Periodic | ExecutionModel::Stream));
         let period_ns = self.period_ns.filter(|_| grid);
@@ -157,7 +159,7 @@ impl Execution {
     }
 }
 
-/// What happens to the frames of a stream behind a filter whose step failed. The filter is in FAULT either way.
+/// Fate of the frames of a stream behind a filter whose step failed. The filter is in FAULT either way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OnFailure {
     /// The branch behind it gets nothing more.
@@ -239,7 +241,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// How samples wait for it where the connection does not say.
+    /// Returns the queue of its samples where the connection does not say.
     pub fn default_queue(&self) -> Queue {
         if self.fifo > 0 { Queue::Fifo { depth: self.fifo, drop_oldest: true } } else { Queue::Latest }
     }
@@ -253,22 +255,24 @@ pub struct Output {
     pub tag: Tag,
 }
 
-/// Outputs every component has without any code: its state rows, its events, its commands. No class may use one of the names.
+/// Outputs every component has without any code: its state rows, its events, its commands. No class may use
+/// one of the names.
 pub const TAPS: [&str; 3] = ["tap_rows", "tap_events", "tap_commands"];
 
 impl Output {
-    /// It tells what the component does without its doing: see [`TAPS`].
+    /// Tells whether the host fills this output, without the component's code: see [`TAPS`].
     pub fn is_tap(&self) -> bool {
         TAPS.contains(&self.name.as_str())
     }
 }
 
-/// What a port has to do with a simulation; decides who may be connected to it.
+/// Relation of a port to a simulation; decides which ports may be connected to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Tag {
     #[default]
     None,
-    /// Tells what is really so in a simulated world: for recorders, plots and tests, never for what moves an actuator.
+    /// Tells the true state of a simulated world: for recorders, plots and tests, never for the motion of an
+    /// actuator.
     Truth,
     /// Joins simulated devices to each other, as the world joins real ones.
     Sim,

@@ -1,7 +1,7 @@
 //! Configurations: defaults, merge patches, validation against the class's JSON Schema.
 //!
-//! Invariant: a configuration is checked whole before a component sees it; every violation carries the JSON pointer of
-//! the offending value and, where the schema knows it, the unit.
+//! Invariant: a configuration is checked whole before a component sees it; every violation carries the JSON
+//! pointer of the offending value and, where the schema knows it, the unit.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,8 @@ use crate::refusal::brief as cut;
 use crate::value::{EXACT, ROUNDED};
 use crate::{Unit, nearest};
 
-/// Most bytes of a configuration as JSON: a list of a few components stays below the 4 MiB that clients of gRPC take by themselves.
+/// Most bytes of a configuration as JSON: a list of a few components stays below the 4 MiB that gRPC clients
+/// accept by default.
 const LARGEST: usize = 1 << 20;
 
 /// One thing that is wrong with a configuration.
@@ -30,7 +31,7 @@ pub fn defaults(schema: &Value) -> Value {
     complete(schema, Value::Object(Map::new()))
 }
 
-/// `value` without what [`complete`] fills in: completed again, it is the same where it was complete.
+/// Returns `value` without what [`complete`] fills in: completed again, it is the same where it was complete.
 pub fn without_defaults(schema: &Value, value: &Value) -> Value {
     if let Value::Array(items) = value {
         let item = schema.get("items").unwrap_or(&Value::Null);
@@ -49,7 +50,7 @@ pub fn without_defaults(schema: &Value, value: &Value) -> Value {
     Value::Object(left.collect())
 }
 
-/// Two settings that mean the same: 20 is 20.0, as JSON's numbers are.
+/// Tells whether two settings mean the same: 20 is 20.0, as JSON's numbers are.
 pub fn is_same(a: &Value, b: &Value) -> bool {
     match (a, b) {
         (Value::Number(x), Value::Number(y)) => {
@@ -65,7 +66,7 @@ pub fn is_same(a: &Value, b: &Value) -> bool {
     }
 }
 
-/// The merge patch that makes `to` of `from`.
+/// Returns the merge patch that makes `to` of `from`.
 pub fn difference(from: &Value, to: &Value) -> Value {
     let (Value::Object(from), Value::Object(to)) = (from, to) else { return to.clone() };
     let gone = from.keys().filter(|key| !to.contains_key(*key)).map(|key| (key.clone(), Value::Null));
@@ -78,8 +79,8 @@ pub fn difference(from: &Value, to: &Value) -> Value {
     Value::Object(gone.chain(changed).collect())
 }
 
-/// `value` with every absent key that has a default filled in, also in nested objects, and with whole numbers that were
-/// written as texts, as those beyond 2^53 have to be, as the numbers they are.
+/// Returns `value` with every absent key that has a default filled in, also in nested objects. Whole numbers
+/// that were written as texts, as those beyond 2^53 have to be, become numbers.
 pub fn complete(schema: &Value, value: Value) -> Value {
     let value = match value {
         Value::String(text) => return whole(schema, text),
@@ -118,7 +119,7 @@ fn whole(schema: &Value, text: String) -> Value {
     }
 }
 
-/// Whether the schema names this type.
+/// Tells whether the schema names this type.
 fn takes(schema: &Value, ty: &str) -> bool {
     match schema.get("type") {
         Some(Value::String(said)) => said == ty,
@@ -219,14 +220,14 @@ pub fn validate(schema: &Value, config: &Value) -> Vec<Violation> {
     found.into_iter().map(|(pointer, message)| Violation { pointer, message }).collect()
 }
 
-/// Why `schema` is no JSON Schema; none when it is one.
+/// Returns why `schema` is no JSON Schema; `None` when it is one.
 pub fn schema_fault(schema: &Value) -> Option<String> {
-    // The validator knows that a wrong type is none of several schemas, and not what was meant.
+    // The validator only knows that a wrong type is none of several schemas, not what was meant.
     let wrong = || jsonschema::validator_for(schema).err().map(|e| e.to_string());
     odd_type(schema, "").or_else(wrong)
 }
 
-/// The first type that JSON does not have.
+/// Returns the first type that JSON does not have.
 fn odd_type(schema: &Value, path: &str) -> Option<String> {
     const TYPES: [&str; 7] = ["number", "integer", "string", "boolean", "array", "object", "null"];
     let said = match schema.get("type") {
@@ -247,8 +248,8 @@ fn setting_in(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
-/// The first limit or unit of a setting that holds for nothing: one of numbers, said of a setting that is
-/// none. JSON Schema passes it over, so that it would be shown and never enforced.
+/// Returns the first limit or unit that has no effect: one for numbers, at a setting that holds none. JSON
+/// Schema passes it over, so it would be shown and never enforced.
 pub fn idle_limit(schema: &Value) -> Option<String> {
     idle(schema, "")
 }
@@ -279,7 +280,8 @@ fn idle(schema: &Value, path: &str) -> Option<String> {
     inside.or_else(|| idle(schema.get("items")?, path))
 }
 
-/// Settings that `patch` takes away (null) and that neither `config` nor the schema has, sorted as in [`validate`].
+/// Settings that `patch` takes away (null) and that neither `config` nor the schema has, sorted as in
+/// [`validate`].
 pub fn unknown_nulls(schema: &Value, config: &Value, patch: &Value) -> Vec<Violation> {
     let mut found = Vec::new();
     look_for_nulls(schema, config, patch, "", &mut found);

@@ -1,7 +1,7 @@
-//! Does this required end fit that provided one, and what binds to what?
+//! Tells whether a required end fits a provided one, and what binds to what.
 //!
-//! Invariant: decided before anything runs and by values alone; the planner and the LCM use the same answer, so what is
-//! planned can be done.
+//! Invariant: decided before anything runs and by values alone; the planner and the LCM use the same answer,
+//! so every plan can be done.
 
 mod idle;
 
@@ -13,7 +13,7 @@ use crate::{
     Provided, Refusal, Required, Type, Unit,
 };
 
-/// How two ports go together.
+/// Match of two ports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Link {
     /// Positions in `Ports::inputs` of the client and `Ports::outputs` of the server.
@@ -27,8 +27,8 @@ pub enum Link {
     Interface { required: usize, provided: usize, binding: Binding },
 }
 
-/// What a required interface's members bind to. All numbers are ABI ids: positions over all interfaces of the class.
-/// An optional function or handler without a counterpart is absent.
+/// Bindings of a required interface's members. All numbers are ABI ids: positions over all interfaces of the
+/// class. An optional function or handler without a counterpart is absent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Binding {
     /// (function of the client's class, command of the server's class), in the client's order.
@@ -47,7 +47,7 @@ pub enum Port<'a> {
 }
 
 impl Port<'_> {
-    /// What people call it.
+    /// Returns the word people use for it.
     pub fn kind(&self) -> &'static str {
         match self {
             Port::Input(..) => "an input",
@@ -74,13 +74,14 @@ impl Ports {
         input().or_else(output).or_else(required).or_else(provided)
     }
 
-    /// Whether what comes by this input is only looked at: it takes any type, and the component has neither outputs nor anybody it calls.
+    /// Tells whether the component only looks at what comes by this input: it takes any type, and the
+    /// component has neither outputs nor required interfaces.
     pub fn looks_on(&self, input: usize) -> bool {
         let any = self.inputs.get(input).is_some_and(|input| input.ty == PortType::Any);
         any && self.required.is_empty() && self.own_outputs().next().is_none()
     }
 
-    /// Outputs that are the class's own: all but the taps.
+    /// Returns the outputs that are the class's own: all but the taps.
     pub fn own_outputs(&self) -> impl Iterator<Item = &Output> {
         self.outputs.iter().filter(|output| !output.is_tap())
     }
@@ -93,7 +94,7 @@ impl Ports {
         inputs.chain(outputs).chain(required).chain(self.provided.iter().map(|p| p.name.as_str()))
     }
 
-    /// Whether the component cannot do without that input or required interface.
+    /// Tells whether the component cannot do without that input or required interface.
     pub fn requires(&self, name: &str) -> bool {
         match self.find(name) {
             Some(Port::Input(_, input)) => !input.optional,
@@ -124,7 +125,7 @@ impl Ports {
 }
 
 impl CommandKind {
-    /// Answered from the published row; the others run inside the server.
+    /// Tells whether the command is answered from the published row; the others run inside the server.
     pub fn is_read(self) -> bool {
         matches!(self, CommandKind::Read | CommandKind::QualifiedRead)
     }
@@ -144,8 +145,8 @@ impl CommandKind {
 /// Binds `client_port` to `server_port`.
 ///
 /// # Errors
-/// In this order: INTERFACE_NOT_FOUND, WRONG_DIRECTION, COMMAND_MISSING, COMMAND_KIND_MISMATCH, TYPE_MISMATCH,
-/// FORMAT_MISMATCH.
+/// In this order: INTERFACE_NOT_FOUND, WRONG_DIRECTION, COMMAND_MISSING, COMMAND_KIND_MISMATCH,
+/// TYPE_MISMATCH, FORMAT_MISMATCH.
 pub fn bindings(
     client: &Ports,
     client_port: &PortId,
@@ -182,7 +183,8 @@ pub fn bindings(
     }
 }
 
-/// Finds both ports and checks that the client is an input or required interface and the server its counterpart.
+/// Finds both ports and checks that the client is an input or required interface and the server its
+/// counterpart.
 pub(crate) fn directions<'a>(
     client: &'a Ports,
     client_port: &PortId,
@@ -222,7 +224,7 @@ impl Ends<'_> {
         Refusal::TypeMismatch { client: self.client.clone(), server: self.server.clone(), what, difference }
     }
 
-    /// Whether samples must be copied by name.
+    /// Returns whether samples must be copied by name.
     fn stream(&self, client: &PortType, server: &PortType, adapt: bool) -> Result<bool, Refusal> {
         match (client, server) {
             (PortType::Any, _) | (_, PortType::Any) => Ok(false),
@@ -273,7 +275,7 @@ impl Ends<'_> {
         match client.first_difference(server) {
             None => Ok(()),
             Some(difference) => {
-                // Which two structs, before in what they differ.
+                // Names the two structs first, then the difference.
                 let named = match (client, server) {
                     (Type::Struct(a), Type::Struct(b)) if a.name != b.name => {
                         format!("it is {} here and {} there: ", a.name, b.name)
@@ -367,7 +369,7 @@ impl Ends<'_> {
     }
 }
 
-/// Whether an input takes what an untyped output has become.
+/// Checks that an input takes the type an untyped output has got.
 pub(crate) fn same_payload(
     client: &PortId,
     server: &PortId,

@@ -1,4 +1,4 @@
-//! Copies by name: how a sample is made of one whose fields lie elsewhere.
+//! Copies by name: a sample is made from one whose fields lie elsewhere.
 //!
 //! Invariant: every run lies inside both types, and a plan is short enough for a step ([`MAX_COPIES`]).
 
@@ -17,19 +17,20 @@ pub struct CopyRun {
 }
 
 impl Type {
-    /// A client of this type can be fed by name from `server`'s: see [`Type::copy_plan`].
+    /// Tells whether a client of this type can be fed by name from `server`'s: see [`Type::copy_plan`].
     pub fn can_adapt(&self, server: &Type) -> bool {
         self.copy_plan(server).is_some()
     }
 
-    /// How to fill a value of this type from one of `server`'s by name: every field exists there with the same kind,
-    /// unit and frame (as in [`Type::accepts`]), only elsewhere; so in nested structs and in the items of arrays and lists
-    /// of one length. Neighbouring runs are joined. `None` = impossible, or more than [`MAX_COPIES`] runs.
+    /// Returns the way to fill a value of this type from one of `server`'s by name: every field exists there
+    /// with the same kind, unit and frame (as in [`Type::accepts`]), only elsewhere; so in nested structs and
+    /// in the items of arrays and lists of one length. Neighbouring runs are joined. `None` = impossible, or
+    /// more than [`MAX_COPIES`] runs.
     pub fn copy_plan(&self, server: &Type) -> Option<Vec<CopyRun>> {
         self.plan(server).ok()
     }
 
-    /// The number of runs stands in the way, perhaps not alone of a [`Type::copy_plan`].
+    /// Tells whether the number of runs prevents a [`Type::copy_plan`], perhaps beside other reasons.
     pub fn is_scattered(&self, server: &Type) -> bool {
         self.plan(server) == Err(NoPlan::TooMany)
     }
@@ -47,15 +48,15 @@ pub const MAX_COPIES: usize = 1024;
 /// Most items of an array that are looked at one by one: as many as a sample may have bytes.
 const MAX_ITEMS: usize = 1 << 16;
 
-/// Why there is no copy plan.
+/// Reason why there is no copy plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum NoPlan {
-    /// Something is missing there, or of another kind, unit, frame or length.
+    /// A part is missing there, or of another kind, unit, frame or length.
     Differs,
     TooMany,
 }
 
-/// Appends what fills a client's value at 0 from a server's at 0.
+/// Appends the runs that fill a client's value at 0 from a server's at 0.
 fn copies(client: &Type, server: &Type, plan: &mut Vec<CopyRun>) -> Result<(), NoPlan> {
     match (client, server) {
         _ if client.accepts(server) => append(plan, CopyRun { from: 0, to: 0, len: client.size() }),
@@ -84,11 +85,12 @@ fn copies(client: &Type, server: &Type, plan: &mut Vec<CopyRun>) -> Result<(), N
 /// Bytes of a list before its items.
 const LIST_HEAD: usize = 8;
 
-/// Of `n` items that lie one after the other, from byte `at`; of a list also of those it does not hold.
+/// Plans the copies of `n` items that lie one after the other, from byte `at`; of a list also of those it
+/// does not hold.
 fn item_copies(a: &Type, b: &Type, n: usize, at: usize, plan: &mut Vec<CopyRun>) -> Result<(), NoPlan> {
     let mut item = Vec::new();
     copies(a, b, &mut item)?;
-    // Of nothing there may be any number.
+    // Items without bytes may be any number.
     item.retain(|run| run.len > 0);
     if item.is_empty() {
         return Ok(());
@@ -115,7 +117,7 @@ fn append(plan: &mut Vec<CopyRun>, run: CopyRun) -> Result<(), NoPlan> {
 }
 
 impl CopyRun {
-    /// The same run so many bytes further on; none beyond all bytes.
+    /// Returns the same run so many bytes further on; an error beyond the largest number of bytes.
     fn moved(self, from: usize, to: usize) -> Result<CopyRun, NoPlan> {
         let moved = |at: usize, by: usize| at.checked_add(by).filter(|at| at.checked_add(self.len).is_some());
         let (from, to) = moved(self.from, from).zip(moved(self.to, to)).ok_or(NoPlan::Differs)?;

@@ -1,7 +1,8 @@
 //! Coordinate frames of whole values: a port, argument or result that says in which frame its payload is.
 //!
-//! Invariant: saying it there is the same as saying it at each field that holds coordinates, so two ends are compared field
-//! by field wherever their authors have said it. `trocar-plugin-api` asks the same when a plugin is compiled.
+//! Invariant: a frame of the whole value is the same as that frame at each field that holds coordinates. So
+//! two ends are compared field by field wherever their authors have named it. `trocar-plugin-api` asks the
+//! same when a plugin is compiled.
 
 use std::sync::Arc;
 
@@ -9,9 +10,9 @@ use crate::types::{Field, StructType};
 use crate::{Prim, Type};
 
 impl Type {
-    /// This type with everything that holds coordinates in `frame`; fields that name a frame keep theirs. `None` when there
-    /// is nothing left to say it of: coordinates are the arrays of floating point numbers in structs, such as the position
-    /// and orientation of a pose.
+    /// Returns this type with everything that holds coordinates in `frame`; fields that name a frame keep
+    /// theirs. `None` when no field is left to get it: coordinates are the arrays of floating point numbers
+    /// in structs, such as the position and orientation of a pose.
     pub fn in_frame(&self, frame: &str) -> Option<Type> {
         match self {
             Type::Array { item, n } => Some(Type::Array { item: Box::new(item.in_frame(frame)?), n: *n }),

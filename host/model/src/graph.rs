@@ -1,8 +1,8 @@
 //! The system graph: processes, components, connections.
 //!
-//! Invariant: every connection's ends exist and fit; an input and a required interface have at most one source; a
-//! refused request leaves the graph untouched. The desired part is what requests made of it; `state`, `health`, `fault`
-//! and `proxies` are what the LCMs last reported.
+//! Invariant: every connection's ends exist and fit; an input and a required interface have at most one
+//! source; a refused request leaves the graph untouched. Requests made the desired part; `state`, `health`,
+//! `fault` and `proxies` are the last reports of the LCMs.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,7 +26,8 @@ pub struct SystemGraph {
     pub connections: BTreeMap<ConnectionId, Connection>,
     /// Halves of connections between processes, as their LCMs tell.
     pub proxies: BTreeMap<(ConnectionId, End), Proxy>,
-    /// Number the next connection gets; the first is 1, and a change that is undone does not give its number back.
+    /// Number the next connection gets; the first is 1, and a change that is undone does not give its number
+    /// back.
     pub next_connection: u64,
 }
 
@@ -36,7 +37,7 @@ pub enum ProcessState {
     Lost,
     /// Its supervisor starts it again, or it is back and its components are being made again.
     Restarting,
-    /// It ended too often; its supervisor has given it up.
+    /// The process ended too often; its supervisor has given it up.
     Failed,
 }
 
@@ -51,12 +52,12 @@ pub struct Process {
     pub pid: u32,
     /// Every class its plugin directories offer now.
     pub classes: Vec<Arc<ClassInfo>>,
-    /// How it ended last, as its supervisor told; "" when it never did or nobody tells.
+    /// Last exit of the process, as its supervisor told; "" when it never ended or no supervisor tells.
     pub last_exit: String,
-    /// How often its supervisor started it again.
+    /// Number of times its supervisor started it again.
     pub restarts: u32,
     pub warnings: Warnings,
-    /// What takes a place here without an LCM; empty: an ordinary process.
+    /// Program that takes a place here without an LCM; empty: an ordinary process.
     pub guest: String,
 }
 
@@ -71,7 +72,8 @@ pub struct Warnings {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Component {
     pub class: Arc<ClassInfo>,
-    /// The whole configuration (defaults filled in), as far as given; what is missing keeps the component in CREATED.
+    /// The whole configuration (defaults filled in), as far as given; what is missing keeps the component in
+    /// CREATED.
     pub config: Value,
     /// Complete: the class's defaults overlaid with what Create said.
     pub execution: Execution,
@@ -79,7 +81,8 @@ pub struct Component {
     pub ports: Arc<Ports>,
     pub state: State,
     pub health: Health,
-    /// Why it is in FAULT, or what of it did not come back when its process was started again; empty otherwise.
+    /// Reason of its FAULT, or what of it did not come back when its process was started again; empty
+    /// otherwise.
     pub fault: String,
 }
 
@@ -139,7 +142,7 @@ impl std::fmt::Display for ProcessState {
 }
 
 impl Process {
-    /// Why it cannot be asked, as it stands.
+    /// Returns the refusal for a process that cannot be asked, in its present state.
     pub fn lost(&self, name: &Name) -> Refusal {
         let last_exit = self.last_exit.clone();
         Refusal::ProcessLost { process: name.clone(), state: self.state, last_exit }
@@ -147,13 +150,13 @@ impl Process {
 }
 
 impl SystemGraph {
-    /// This end belongs to a guest, which calls from outside.
+    /// Tells whether this end belongs to a guest, which calls from outside.
     pub fn is_guests(&self, end: &PortId) -> bool {
         self.processes.get(&end.component.process).is_some_and(|p| !p.guest.is_empty())
     }
 
-    /// The effect of an accepted plan, without doing any of it. Health and fault texts are left alone: they are what the
-    /// LCMs report.
+    /// Applies an accepted plan to the graph, without doing any of it. Health and fault texts are left alone:
+    /// the LCMs report them.
     pub fn apply(&mut self, plan: &Plan) {
         for change in &plan.changes {
             self.carry_out(change);
@@ -163,7 +166,7 @@ impl SystemGraph {
         }
     }
 
-    /// A change to something that has gone meanwhile has no effect.
+    /// Carries out one change. A change to something that has gone meanwhile has no effect.
     pub fn carry_out(&mut self, change: &Change) {
         match change {
             Change::Create { id, component } => {

@@ -1,7 +1,7 @@
 //! Decides, never does: names, types, the system graph, plans and refusals.
 //!
-//! Invariant: pure functions of their arguments. No I/O, clock, thread, randomness, unsafe or async; `BTreeMap`s so that
-//! the same input gives the same output, in simulation as in production.
+//! Invariant: pure functions of their arguments. No I/O, clock, thread, randomness, unsafe or async;
+//! `BTreeMap`s so that the same input gives the same output, in simulation as in production.
 #![forbid(unsafe_code)]
 // Refusals are rare and carry their values by design; boxing them would burden every match on them.
 #![allow(clippy::result_large_err)]

@@ -1,14 +1,14 @@
 //! Connections that no longer fit, once the ports of a component are others than before.
 //!
-//! Invariant: judged by [`bindings`] as at Connect, so that GCM and LCM come to the same answer; what tags forbid only the GCM sees,
-//! which knows the whole graph.
+//! Invariant: judged by [`bindings`] as at Connect, so that GCM and LCM come to the same answer; only the
+//! GCM, which knows the whole graph, sees what tags forbid.
 
 use crate::plan::forbidden;
 use crate::{ComponentId, ConnectionId, Refusal, SystemGraph, bindings};
 
 impl SystemGraph {
-    /// The connections that would be refused now that this component's ports are others, each with the reason: its own, in the order of
-    /// their numbers, then those that tags forbid.
+    /// Returns the connections that would be refused now that this component's ports are others, each with
+    /// the reason: its own, in the order of their numbers, then those that tags forbid.
     pub fn loose_ends(&self, id: &ComponentId) -> Vec<(ConnectionId, Refusal)> {
         let of = |c: &ComponentId| self.components.get(c).map(|c| c.ports.clone());
         let mut loose = Vec::new();

@@ -30,7 +30,7 @@ impl Name {
     }
 }
 
-/// What is wrong with `segment`, which begins at character `at` (0-based) of a path.
+/// Tells what is wrong with `segment`, which begins at character `at` (0-based) of a path.
 fn fault(segment: &str, at: usize) -> Option<String> {
     if segment.is_empty() {
         return Some(format!("a name is missing at character {}", at + 1));
@@ -105,7 +105,7 @@ impl ComponentId {
         Ok(ComponentId { process, component })
     }
 
-    /// Where it is when it has a process of its own: `host/robot` is then `host.robot/robot`.
+    /// Returns its id in a process of its own: `host/robot` is then `host.robot/robot`.
     ///
     /// # Errors
     /// [`Refusal::BadPath`]: that process would have too long a name.
@@ -166,7 +166,8 @@ impl MemberId {
     }
 }
 
-/// A glob over components: `**`, `host/**`, `host/*`, `*/robot`, `host/rob*`. `*` never crosses a slash, `**` does.
+/// A glob over components: `**`, `host/**`, `host/*`, `*/robot`, `host/rob*`. `*` never crosses a slash, `**`
+/// does.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Pattern {
     process: Arc<str>,
@@ -185,7 +186,8 @@ impl Pattern {
         if text == "**" {
             return Ok(Pattern::all());
         }
-        // Each * stands for at least one character of a name, so a letter in its place checks the rest of the grammar.
+        // Each * stands for at least one character of a name, so a letter in its place checks the rest of the
+        // grammar.
         let plain = text.replace('*', "x");
         match ComponentId::parse(&plain) {
             Ok(_) => {}
@@ -231,7 +233,7 @@ fn glob(pattern: &[u8], text: &[u8]) -> bool {
     pattern[p..].iter().all(|&b| b == b'*')
 }
 
-/// What Start, Stop, Resume and Reset are given: a path, or a glob when it holds a `*`.
+/// Target of Start, Stop, Resume and Reset: a path, or a glob when it holds a `*`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Target {
     One(ComponentId),

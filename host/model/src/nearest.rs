@@ -2,7 +2,7 @@
 //!
 //! Invariant: deterministic; equal distances go to the first in the given order.
 
-/// The closest of `known`, or nothing when none is close enough to be a slip of the fingers.
+/// Returns the closest of `known`, or nothing when none is close enough to be a typing error.
 pub fn nearest<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let lower = wanted.to_lowercase();
     let mut best: Option<(usize, &str)> = None;

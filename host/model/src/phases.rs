@@ -1,5 +1,5 @@
-//! The place in its period at which each component on a grid steps, so that what one writes the next one
-//! takes: sources first, each reader behind what feeds it.
+//! The place in its period at which each component on a grid steps, so that a reader takes what its writer
+//! has just written: sources first, each reader behind the components that feed it.
 //!
 //! Invariant: pure, and the same for the same graph. A phase that was asked for is kept. Between two
 //! components of one period the reader steps at least the writer's step and a margin behind it, modulo the
@@ -14,7 +14,7 @@ use crate::{ComponentId, Connection, ExecutionModel, SystemGraph};
 /// for the step the reader stands in the middle: either may be late by as much.
 const MARGIN_EIGHTHS: u64 = 3;
 const MARGIN_NS: u64 = 1_000_000;
-/// Shortest and longest a step is taken for that nobody has measured, as a part of the period and in ns.
+/// Time kept for a step that was not measured: this part of the period, and at most so many ns.
 const UNKNOWN_PART: u64 = 8;
 const UNKNOWN_NS: u64 = 500_000;
 
@@ -31,7 +31,7 @@ pub struct Phase {
     pub note: String,
 }
 
-/// The phases of all components that have a thread on a grid and were given none by anybody.
+/// Returns the phases of all components that have a thread on a grid and were given no phase.
 pub fn phases(graph: &SystemGraph, steps: &StepTimes) -> BTreeMap<ComponentId, Phase> {
     let wheels = wheels(graph, steps);
     let edges = edges(graph, &wheels);
@@ -42,8 +42,8 @@ pub fn phases(graph: &SystemGraph, steps: &StepTimes) -> BTreeMap<ComponentId, P
     circles.flat_map(|circle| circle.fit()).collect()
 }
 
-/// Whether the phase of anybody depends on what steps take: samples pass between threads of one period, and
-/// one of them was given no phase.
+/// Tells whether any phase depends on what steps take: samples pass between threads of one period, and one of
+/// them was given no phase.
 pub fn steps_matter(graph: &SystemGraph) -> bool {
     let wheels = wheels(graph, &StepTimes::new());
     let auto = |id: &ComponentId| wheels.get(id).is_some_and(|wheel| wheel.fixed_ns.is_none());
@@ -54,7 +54,7 @@ pub fn steps_matter(graph: &SystemGraph) -> bool {
 #[derive(Clone)]
 struct Wheel {
     period_ns: u64,
-    /// The phase that was asked for.
+    /// Phase that was asked for.
     fixed_ns: Option<u64>,
     /// Time kept for its step, ns.
     step_ns: u64,
@@ -88,8 +88,8 @@ fn wheels(graph: &SystemGraph, steps: &StepTimes) -> Wheels {
     heads.collect()
 }
 
-/// Time kept for a step that takes this long: doubled until it is enough, so that a figure that wavers moves
-/// nothing.
+/// Returns the time kept for a step that takes this long: doubled until it is enough, so that a wavering
+/// figure moves nothing.
 fn room(step_ns: u64, period_ns: u64) -> u64 {
     let mut room = (period_ns / UNKNOWN_PART).min(UNKNOWN_NS);
     while room < step_ns.min(period_ns) {
@@ -98,10 +98,10 @@ fn room(step_ns: u64, period_ns: u64) -> u64 {
     room.min(period_ns)
 }
 
-/// The component whose thread runs this one.
+/// Returns the component whose thread runs this one.
 fn head(graph: &SystemGraph, id: &ComponentId) -> Option<ComponentId> {
     let mut at = id.clone();
-    // The graph holds no circle, but a walk that trusts nobody ends anyway.
+    // The graph holds no circle, but a walk that trusts no input ends anyway.
     for _ in 0..=graph.components.len() {
         match host_of(&graph.components.get(&at)?.execution) {
             Some(host) => at = host,
@@ -132,7 +132,7 @@ fn edges(graph: &SystemGraph, wheels: &Wheels) -> Vec<Edge> {
     edges
 }
 
-/// Whether one comes from `from` to `to`.
+/// Tells whether a way leads from `from` to `to`.
 fn leads(
     behind: &BTreeMap<ComponentId, BTreeSet<ComponentId>>,
     from: &ComponentId,
@@ -148,8 +148,8 @@ fn leads(
     false
 }
 
-/// Each thread behind all that feed it but for what is cut; in the order of their names where that leaves a
-/// choice.
+/// Orders each thread behind all that feed it, without the cut edges; in the order of their names where that
+/// leaves a choice.
 fn sources_first(
     wheels: &Wheels,
     into: &BTreeMap<&ComponentId, Vec<&Edge>>,
@@ -160,7 +160,7 @@ fn sources_first(
     let mut ready: BTreeSet<&ComponentId> =
         waits.iter().filter(|(_, n)| **n == 0).map(|(id, _)| *id).collect();
     let mut order = Vec::with_capacity(wheels.len());
-    // A rest without a first one would be a circle, and circles are cut.
+    // A rest without a first thread would be a circle, and circles are cut.
     while let Some(id) = ready.pop_first().or_else(|| waits.keys().next().copied()) {
         if waits.remove(id).is_none() {
             continue;
@@ -178,7 +178,7 @@ fn sources_first(
     order
 }
 
-/// Splits them into those that are connected with each other, directly or through others.
+/// Splits the threads into groups that are connected, directly or through others.
 fn groups(mut all: Wheels, edges: &[Edge]) -> Vec<Wheels> {
     let mut beside: BTreeMap<&ComponentId, Vec<&ComponentId>> = BTreeMap::new();
     for edge in edges {
@@ -290,7 +290,8 @@ impl<'a> Circle<'a> {
         }
     }
 
-    /// Sources first, each one at the earliest place that is right for all its neighbours that have one.
+    /// Lays the phases, sources first, each at the earliest place that is right for all its neighbours that
+    /// have one.
     fn lay(&self, margin_ns: u64) -> Layout {
         let mut layout = Layout::default();
         for (id, wheel) in &self.wheels {
@@ -304,13 +305,14 @@ impl<'a> Circle<'a> {
         }
         let asked = |id: &ComponentId| self.wheels.get(id).is_none_or(|wheel| wheel.fixed_ns.is_some());
         let tight = self.edges.iter().filter(|e| !self.arrives(&layout, e, margin_ns));
-        // Two phases that were asked for are kept as they are.
+        // A pair of phases that were both asked for is kept as it is.
         let tight = tight.filter(|e| !(asked(&e.from) && asked(&e.to)));
         layout.tight = tight.flat_map(|e| [e.from.clone(), e.to.clone()]).collect();
         layout
     }
 
-    /// The earliest place behind all that feed it that leaves nobody's room, or the earliest one there is.
+    /// Returns the earliest place behind all that feed it that leaves each neighbour its room, or the
+    /// earliest one there is.
     fn place(&self, layout: &Layout, id: &ComponentId, margin_ns: u64) -> Place {
         let step = |id: &ComponentId| self.wheels.get(id).map_or(0, |wheel| wheel.step_ns);
         let feeds = self.into.get(id).into_iter().flatten();
@@ -319,7 +321,7 @@ impl<'a> Circle<'a> {
             Some((place.at_ns + step(&e.from) + margin_ns, Some(place.first_ns)))
         });
         let (earliest, first) = last.max().unwrap_or((0, None));
-        // Arcs that are somebody else's, as (begin, length) on the circle.
+        // Arcs that belong to other threads, as (begin, length) on the circle.
         let before = feeds.filter_map(|e| {
             let at = layout.at(&e.from)?;
             Some((self.on(at, margin_ns), 2 * margin_ns + step(&e.from)))
@@ -347,8 +349,8 @@ impl<'a> Circle<'a> {
         (at % self.period_ns + self.period_ns - from % self.period_ns) % self.period_ns
     }
 
-    /// Whether what passes there is taken in each period: read behind the step that writes it, and before the
-    /// next one.
+    /// Tells whether the samples of this edge are taken in each period: read behind the step that writes
+    /// them, and before the next one.
     fn arrives(&self, layout: &Layout, edge: &Edge, margin_ns: u64) -> bool {
         let (Some(from), Some(to)) = (layout.at(&edge.from), layout.at(&edge.to)) else {
             return true;

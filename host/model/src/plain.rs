@@ -1,6 +1,7 @@
-//! Text from elsewhere made harmless: one line, and nothing in it that a terminal would obey.
+//! Text from elsewhere made harmless: one line, without characters a terminal would obey.
 //!
-//! Invariant: each sentence of a plugin passes here where it enters the host, so logs, answers and refusals hold it as shown.
+//! Invariant: each sentence of a plugin passes here where it enters the host, so logs, answers and refusals
+//! hold it as shown.
 
 use std::borrow::Cow;
 
@@ -10,7 +11,8 @@ pub fn sentence(bytes: &[u8]) -> String {
     harmless(text.trim_end_matches(['\0', '\n', '\r', ' '])).into_owned()
 }
 
-/// `text` with everything that moves a cursor, changes a colour, begins a line or turns the writing direction escaped.
+/// Returns `text` with every character escaped that moves a cursor, changes a colour, begins a line or turns
+/// the writing direction.
 pub fn harmless(text: &str) -> Cow<'_, str> {
     if !text.contains(obeyed) {
         return text.into();
@@ -22,7 +24,8 @@ pub fn harmless(text: &str) -> Cow<'_, str> {
     shown.into()
 }
 
-/// As [`harmless`], for a text of the host's own that may have several lines: those after the first are indented.
+/// As [`harmless`], for a text of the host's own that may have several lines: those after the first are
+/// indented.
 pub fn paragraph(text: &str) -> Cow<'_, str> {
     each_line(text, "\n    ")
 }
@@ -39,7 +42,7 @@ fn each_line<'a>(text: &'a str, between: &str) -> Cow<'a, str> {
     text.split('\n').map(harmless).collect::<Vec<_>>().join(between).into()
 }
 
-/// JSON text, in which such characters stand inside strings only, in JSON's own escapes.
+/// Returns JSON text, in which such characters stand inside strings only, in JSON's own escapes.
 pub fn json(text: &str) -> Cow<'_, str> {
     if !text.contains(obeyed) {
         return text.into();

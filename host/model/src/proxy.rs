@@ -1,10 +1,12 @@
-//! A connection between two processes as each of them keeps it: its end there, with a stand-in for the other end.
+//! A connection between two processes as each of them keeps it: its end there, with a stand-in for the other
+//! end.
 //!
-//! Invariant: proxies are what the LCMs last told; nothing is decided by them alone, and one without a connection is not shown.
+//! Invariant: proxies are what the LCMs last told; nothing is decided by them alone, and one without a
+//! connection is not shown.
 
 use crate::{Connection, Name, PortId, ProcessState, SystemGraph};
 
-/// Which end of a connection.
+/// End of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum End {
     Client,
@@ -16,11 +18,11 @@ pub enum End {
 pub struct Proxy {
     /// The process whose LCM has it.
     pub process: Name,
-    /// Of the link to the other half: another one each time they are linked; 0 = they are not.
+    /// Number of the link to the other half: another one each time they are linked; 0 = they are not.
     pub epoch: u64,
     /// Why they are not linked; empty when they are.
     pub why: String,
-    /// How the data travel, "memfd".
+    /// Carrier of the data, "memfd".
     pub carrier: String,
 }
 
@@ -31,7 +33,7 @@ impl Proxy {
 }
 
 impl Connection {
-    /// Both ends are in one process.
+    /// Tells whether both ends are in one process.
     pub fn is_near(&self) -> bool {
         self.client.component.process == self.server.component.process
     }
@@ -43,15 +45,16 @@ impl Connection {
         }
     }
 
-    /// One of its ends is in that process.
+    /// Tells whether one of its ends is in that process.
     pub fn ends_in(&self, process: &Name) -> bool {
         self.client.component.process == *process || self.server.component.process == *process
     }
 }
 
 impl SystemGraph {
-    /// The halves of a connection between two processes, the client's first; of one whose process says nothing, why that is.
-    /// Empty for a connection inside a process, and for a guest's, which calls from outside.
+    /// Returns the halves of a connection between two processes, the client's first; for a half whose process
+    /// says nothing, the reason. Empty for a connection inside a process, and for a guest's, which calls from
+    /// outside.
     pub fn proxies_of(&self, connection: &Connection) -> Vec<(End, Proxy)> {
         if connection.is_near() || self.is_guests(&connection.client) {
             return Vec::new();

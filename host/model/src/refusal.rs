@@ -1,7 +1,8 @@
-//! Why a request is refused: values, not sentences; sentences, codes and help are made from them in one place.
+//! Why a request is refused: values, not sentences; sentences, codes and help are made from them in one
+//! place.
 //!
-//! Invariant: every variant has a reason code, a sentence that says what was asked and what is wrong, and help that says
-//! what to do (a test fails otherwise); `docs/errors.md` is generated from here.
+//! Invariant: every variant has a reason code, a sentence that says what was asked and what is wrong, and
+//! help that says what to do (a test fails otherwise); `docs/errors.md` is generated from here.
 
 mod details;
 mod examples;
@@ -40,13 +41,15 @@ pub enum Refusal {
         process: Name,
         known: Vec<Name>,
     },
-    /// It is known and cannot be asked. `state` says what becomes of it, `last_exit` how it ended; "" when nobody knows.
+    /// The process is known and cannot be asked. `state` says what becomes of it, `last_exit` how it ended;
+    /// "" when that is unknown.
     ProcessLost {
         process: Name,
         state: ProcessState,
         last_exit: String,
     },
-    /// Nobody is there who would make a process beside this one; `known`: those that somebody keeps.
+    /// No supervisor is there that would make a process beside this one; `known`: those that a supervisor
+    /// keeps.
     NotSupervised {
         process: Name,
         known: Vec<Name>,
@@ -56,7 +59,7 @@ pub enum Refusal {
         process: Name,
         why: String,
     },
-    /// It was to be forgotten, and has not ended.
+    /// The process was to be forgotten, and has not ended.
     ProcessRuns {
         process: Name,
         state: ProcessState,
@@ -105,7 +108,8 @@ pub enum Refusal {
         member: MemberId,
         known: Vec<String>,
     },
-    /// The member is there, but is something else than what was asked of it: `is` "a read command", `wanted` "an event".
+    /// The member is there, but is something else than what was asked of it: `is` "a read command", `wanted`
+    /// "an event".
     WrongKind {
         member: MemberId,
         is: String,
@@ -163,7 +167,7 @@ pub enum Refusal {
         server: PortId,
         has: Tag,
     },
-    /// What `server` tells would reach an actuator; `path` leads from the client to it.
+    /// Data of `server` would reach an actuator; `path` leads from the client to it.
     TruthToActuator {
         client: PortId,
         server: PortId,
@@ -212,13 +216,13 @@ pub enum Refusal {
         bytes: u64,
         why: String,
     },
-    /// The machine gives no thread for it.
     /// The processes of a connection's ends cannot be linked.
     Unreachable {
         client: PortId,
         server: PortId,
         why: String,
     },
+    /// The machine gives no thread for it.
     NoThread {
         id: ComponentId,
         why: String,
@@ -262,7 +266,7 @@ pub enum Refusal {
         state: State,
         after_ns: u64,
     },
-    /// It, or a component of it, was not done before the deadline.
+    /// The process, or a component of it, was not done before the deadline.
     LcmTimeout {
         process: Name,
         what: String,
@@ -313,7 +317,7 @@ pub enum Refusal {
         process: Name,
         class: String,
     },
-    /// A change asked by a caller who is neither the host's user nor has that user's token.
+    /// A change asked by a caller that is neither the host's user nor has that user's token.
     Forbidden {
         what: String,
         /// As the kernel and the caller tell.
@@ -321,7 +325,7 @@ pub enum Refusal {
         /// Number of the host's user.
         user: u32,
     },
-    /// It would change something, and came from a page that only reads.
+    /// The request would change something, and came from a page that only reads.
     ReadOnly {
         what: String,
     },

@@ -1,4 +1,4 @@
-//! What can be asked of the graph.
+//! Requests to the graph.
 
 use serde_json::Value;
 
@@ -30,8 +30,8 @@ pub enum Request {
     Forget {
         process: Name,
     },
-    /// JSON merge patch (RFC 7396) on the present configuration, and where its thread comes from. A change of the latter
-    /// makes the component anew on its new thread.
+    /// JSON merge patch (RFC 7396) on the present configuration, and a change of the thread. The latter makes
+    /// the component anew on its new thread.
     Configure {
         id: ComponentId,
         patch: Value,

@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-/// Why a component stands still.
+/// Reason why a component stands still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StopReason {
     Requested,
@@ -34,7 +34,7 @@ pub enum Health {
     Lost,
 }
 
-/// What may be asked of a component that exists.
+/// Verbs for a component that exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Verb {
     Configure,
@@ -64,7 +64,7 @@ impl State {
     ];
 }
 
-/// Where `verb` leads from `state`; `None` = not allowed.
+/// Returns the state `verb` leads to from `state`; `None` = not allowed.
 ///
 /// | from | Configure | Start | Stop | Resume | Reset | Remove |
 /// |---|---|---|---|---|---|---|
@@ -75,9 +75,10 @@ impl State {
 /// | STOPPED{other} | READY | ACTIVE, a fresh start | same, reason kept | ACTIVE, run-time state kept | READY | gone |
 /// | FAULT | – | – | same | – | READY | gone |
 ///
-/// Stop is never refused: where nothing runs it changes nothing, and it keeps the reason of a STOPPED component so that
-/// an interlock is not forgotten. But what stands only because its process was restarted may be resumed by itself, and is
-/// not once somebody stopped it. For Remove the answer is the state the component is in when it goes.
+/// Stop is never refused: where nothing runs it changes nothing, and it keeps the reason of a STOPPED
+/// component so that an interlock is not forgotten. A component that stands only because its process was
+/// restarted may be resumed by itself, but not once it was stopped by request. For Remove the answer is the
+/// state the component is in when it goes.
 pub fn transition(state: State, verb: Verb) -> Option<State> {
     use State::{Active, Created, Fault, Ready, Stopped};
     match (verb, state) {
@@ -95,7 +96,7 @@ pub fn transition(state: State, verb: Verb) -> Option<State> {
     }
 }
 
-/// The verbs that may be asked in `state`, without a Stop that would change nothing.
+/// Returns the verbs that may be asked in `state`, without a Stop that would change nothing.
 pub fn allowed(state: State) -> Vec<Verb> {
     let useful = |verb: &Verb| match transition(state, *verb) {
         Some(to) => *verb != Verb::Stop || to != state,

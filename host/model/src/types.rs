@@ -1,6 +1,7 @@
 //! Payload types, described field by field.
 //!
-//! Invariant: identity is the canonical field list ([`Type::canonical`]); the 64-bit hash is only a short form of it.
+//! Invariant: identity is the canonical field list ([`Type::canonical`]); the 64-bit hash is only a short
+//! form of it.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -136,7 +137,7 @@ impl Type {
         }
     }
 
-    /// Whether a value holds numbers, which a range may limit. Stamps, flags, texts and enums are none.
+    /// Tells whether a value holds numbers, which a range may limit. Stamps, flags, texts and enums are none.
     pub fn has_numbers(&self) -> bool {
         match self {
             Type::Prim(p) => !matches!(p, Prim::Bool | Prim::Stamp),
@@ -158,8 +159,8 @@ impl Type {
         }
     }
 
-    /// The identity of the type as text: everything that must agree at Connect. Names of structs and enums and the
-    /// documentation are not part of it; names, offsets, units and frames of fields are.
+    /// The identity of the type as text: everything that must agree at Connect. Names of structs and enums
+    /// and the documentation are not part of it; names, offsets, units and frames of fields are.
     pub fn canonical(&self) -> String {
         let mut out = String::new();
         self.write_canonical(&mut out);
@@ -167,7 +168,8 @@ impl Type {
     }
 
     fn write_canonical(&self, out: &mut String) {
-        // Writing to a String cannot fail, so the results carry nothing. `{:?}` quotes: no name can imitate the syntax.
+        // Writing to a String cannot fail, so the results carry nothing. `{:?}` quotes: no name can imitate
+        // the syntax.
         match self {
             Type::Prim(p) => out.push_str(p.name()),
             Type::Array { item, n } | Type::List { item, n } => {
@@ -204,13 +206,13 @@ impl Type {
             .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
     }
 
-    /// Same identity: a value of one may be read as the other without a copy.
+    /// Tells whether both have the same identity: a value of one may be read as the other without a copy.
     pub fn same(&self, other: &Type) -> bool {
         self == other || self.canonical() == other.canonical()
     }
 
-    /// A client of this type can read `server`'s values as they lie: the same fields in the same places, in units that
-    /// mean the same, and in the same coordinate frames where both ends name one.
+    /// Tells whether a client of this type can read `server`'s values as they lie: the same fields in the
+    /// same places, in units that mean the same, and in the same coordinate frames where both ends name one.
     pub fn accepts(&self, server: &Type) -> bool {
         match (self, server) {
             (Type::Array { item: a, n }, Type::Array { item: b, n: m })
@@ -227,7 +229,7 @@ impl Type {
         }
     }
 
-    /// The first thing for which this type does not accept `server`'s, in words; `None` when it does.
+    /// Returns the first thing for which this type does not accept `server`'s, in words; `None` when it does.
     /// Kinds and units come before offsets, since a moved field is only a consequence.
     pub fn first_difference(&self, server: &Type) -> Option<String> {
         if self.accepts(server) {
@@ -250,7 +252,7 @@ impl Type {
     }
 }
 
-/// Units that mean the same, and frames that do not contradict each other.
+/// Tells whether the units mean the same, and the frames do not contradict each other.
 pub(crate) fn agree(a: &Field, b: &Field) -> bool {
     Unit::same(&a.unit, &b.unit) && (a.frame == b.frame || a.frame.is_empty() || b.frame.is_empty())
 }
@@ -259,7 +261,7 @@ fn round_up(size: usize, align: usize) -> usize {
     size.div_ceil(align).saturating_mul(align)
 }
 
-/// `path` is the dotted name of what is compared, empty at the top.
+/// Returns the first difference; `path` is the dotted name of the compared part, empty at the top.
 fn difference(client: &Type, server: &Type, path: &str, layout: bool) -> Option<String> {
     let subject = || if path.is_empty() { "it".to_owned() } else { format!("field `{path}`") };
     match (client, server) {

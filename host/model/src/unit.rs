@@ -1,10 +1,11 @@
-//! Units of measurement: what may be written, and when two spellings mean the same.
+//! Units of measurement: valid spellings, and when two of them mean the same.
 //!
-//! Invariant: equal means equal numbers: `N*m`, `Nm` and `m.N` are one unit, `N` and `mN` are two, and so are `rad` and
-//! `deg`. Nothing is ever converted here.
+//! Invariant: equal means equal numbers: `N*m`, `Nm` and `m.N` are one unit, `N` and `mN` are two, and so are
+//! `rad` and `deg`. Nothing is ever converted here.
 //!
-//! A unit is symbols with a prefix and a power, joined by `*` (or `.` or `·`) and divided by `/`: `mm`, `rad/s^2`, `N*m`,
-//! `1/m`, `m/s²`. Alternatives are separated by `|`: `m|rad` for joints of both kinds. "" and `1` are no unit.
+//! A unit is symbols with a prefix and a power, joined by `*` (or `.` or `·`) and divided by `/`: `mm`,
+//! `rad/s^2`, `N*m`, `1/m`, `m/s²`. Alternatives are separated by `|`: `m|rad` for joints of both kinds. ""
+//! and `1` are no unit.
 
 mod check;
 mod symbols;
@@ -66,7 +67,7 @@ impl Unit {
         Ok(if none { Unit::default() } else { Unit { alternatives } })
     }
 
-    /// Whether two spellings mean the same; what cannot be read is only the same as itself.
+    /// Tells whether two spellings mean the same; an unreadable one is only the same as itself.
     pub fn same(a: &str, b: &str) -> bool {
         a == b || matches!((Unit::parse(a), Unit::parse(b)), (Ok(a), Ok(b)) if a == b)
     }
@@ -80,7 +81,7 @@ impl Product {
             let end = rest.find(['*', '.', '·', '/']).unwrap_or(rest.len());
             product.factor(&rest[..end], divided)?;
             let Some(sign) = rest[end..].chars().next() else { break };
-            // Left to right it would be a factor again, which nobody reads so.
+            // Left to right it would be a factor again, which readers do not expect.
             if divided && sign != '/' {
                 return Err(format!(
                     "it is ambiguous after the first `/`: write products before it (`{text}`)"

@@ -1,7 +1,7 @@
 //! JSON ↔ plain old data, by the type's description.
 //!
-//! Invariant: `decode` accepts any bytes without a panic and refuses what is not a value of the type; what `encode`
-//! writes, `decode` reads back. Little endian, offsets from the description.
+//! Invariant: `decode` accepts any bytes without a panic and refuses what is not a value of the type; what
+//! `encode` writes, `decode` reads back. Little endian, offsets from the description.
 
 mod get;
 mod interpolate;
@@ -45,7 +45,8 @@ impl std::error::Error for ValueError {}
 
 type Res<T> = Result<T, ValueError>;
 
-/// Where in the value the conversion is; a chain on the stack, so that the good case allocates nothing for it.
+/// Place of the conversion in the value; a chain on the stack, so that the good case allocates nothing for
+/// it.
 #[derive(Clone, Copy)]
 enum At<'a> {
     Top,
@@ -69,8 +70,8 @@ impl At<'_> {
 
 /// The bytes of `value` as a `ty`.
 ///
-/// Integers may be strings (for those above 2^53), floats may be "NaN", "Infinity", "-Infinity", enums are names or
-/// numbers. Every field of a struct must be there, except stamps (0) and lists and texts (empty).
+/// Integers may be strings (for those above 2^53), floats may be "NaN", "Infinity", "-Infinity", enums are
+/// names or numbers. Every field of a struct must be there, except stamps (0) and lists and texts (empty).
 ///
 /// # Errors
 /// With a pointer to the first part that does not fit.
@@ -101,7 +102,7 @@ fn checked_size(ty: &Type) -> Res<usize> {
     Ok(size)
 }
 
-/// What a description that reaches beyond its own type is answered; descriptions come from plugins and may be wrong.
+/// Answer to a description that reaches beyond its own type; descriptions come from plugins and may be wrong.
 const BEYOND: &str = "the type's description reaches beyond its own size";
 
 fn special(text: &str) -> Option<f64> {

@@ -1,6 +1,7 @@
 //! A fixed block of zeroed bytes, 64-byte aligned, reached by address from several threads.
 //!
-//! The block itself keeps no order: whoever touches a part of it holds the right to that part by some atomic.
+//! The block itself keeps no order: a thread that touches a part of it holds the right to that part by some
+//! atomic.
 
 use std::alloc::{Layout, alloc_zeroed, dealloc, handle_alloc_error};
 use std::ptr::NonNull;
@@ -21,11 +22,12 @@ pub(crate) struct AlignedBuf {
 
 /// Bytes to which the allocator aligns every block.
 const ALLOCATED: usize = 16;
-/// Smallest page of the machine, bytes.
+/// Smallest page size of the machine, bytes.
 const PAGE: usize = 4096;
 
 impl AlignedBuf {
-    /// A block of at least one byte, so that every block has an address of its own. All its pages are there.
+    /// Makes a block of at least one byte, so that every block has an address of its own. All its pages are
+    /// there.
     pub(crate) fn new(bytes: usize) -> Self {
         let bytes = bytes.max(1);
         let layout = Self::layout(bytes);
@@ -109,7 +111,8 @@ mod tests {
                 let all = block.as_mut_slice();
                 assert_eq!(all.len(), bytes.max(1));
                 assert!(all.iter().all(|b| *b == 0), "{bytes} bytes");
-                // To its last byte its own: the next blocks are still zero, and the allocator stays whole.
+                // Each block is its own to the last byte: the next blocks are still zero, and the allocator
+                // stays whole.
                 all.fill(0xA5);
             }
             assert!(AlignedBuf::layout(bytes).align() <= ALLOCATED, "it would leave holes in the heap");

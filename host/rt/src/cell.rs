@@ -1,8 +1,8 @@
 //! A binding that many callers use and a manager replaces under them: the cell behind every port slot.
 //!
-//! One word holds the address of the current value and how many callers entered through it, so entering is one
-//! atomic addition. A replaced value is dropped by a manager, never by a caller, and only when every caller
-//! that entered it has left, and every turn (see [`crate::turn`]) that was under way then has ended.
+//! One word holds the address of the current value and how many callers entered through it, so entering is
+//! one atomic addition. A replaced value is dropped by a manager, never by a caller, and only when every
+//! caller that entered it has left, and every turn (see [`crate::turn`]) that was under way then has ended.
 
 use std::ops::Deref;
 use std::ptr::NonNull;
@@ -15,8 +15,8 @@ use crate::turn::{self, Watched};
 const COUNT_BITS: u32 = 16;
 const COUNT_MASK: u64 = (1 << COUNT_BITS) - 1;
 
-/// The value, and the balance of callers that must still leave after it was replaced: the swap adds those that
-/// were inside, each leaver subtracts one, so it wraps below 0 for a moment and ends at 0.
+/// The value, and the balance of callers that must still leave after it was replaced: the swap adds those
+/// that were inside, each leaver subtracts one, so it wraps below 0 for a moment and ends at 0.
 struct Node<T> {
     balance: AtomicU64,
     value: T,
@@ -74,14 +74,15 @@ impl<T> BindingCell<T> {
         Guard { cell: self, node: unpack(word) }
     }
 
-    /// Shows the current value to `f`; it stays valid until `f` returns, also when replaced meanwhile. Any thread. In a
-    /// turn of this thread that is one plain load; elsewhere as [`BindingCell::enter`].
+    /// Shows the current value to `f`; it stays valid until `f` returns, also when replaced meanwhile. Any
+    /// thread. In a turn of this thread that is one plain load; elsewhere it works as [`BindingCell::enter`].
     #[inline(always)]
     pub fn look<R>(&self, f: impl FnOnce(&T) -> R) -> R {
         if !turn::is_inside() {
             return self.look_counted(f);
         }
-        // SAFETY: the turn lasts until after `f`: it ends only in the `turn::run` that is further up this very stack.
+        // SAFETY: the turn lasts until after `f`: it ends only in the `turn::run` that is further up this
+        // very stack.
         unsafe { self.look_in_turn(f) }
     }
 
@@ -98,14 +99,14 @@ impl<T> BindingCell<T> {
         Some(unsafe { self.in_turn() })
     }
 
-    /// Apart, so that what is looked at in turns stays small.
+    /// A function of its own, so that the code for a look in a turn stays small.
     #[inline(never)]
     fn look_counted<R>(&self, f: impl FnOnce(&T) -> R) -> R {
         f(&self.enter())
     }
 
     /// # Safety
-    /// A turn that began before this call and is known to whoever swaps lasts until it returns.
+    /// A turn that began before this call and is known to the swapping thread lasts until it returns.
     #[inline(always)]
     pub(crate) unsafe fn look_in_turn<R>(&self, f: impl FnOnce(&T) -> R) -> R {
         // SAFETY: the caller's promise; the answer is used no longer than `f` runs.
@@ -113,24 +114,25 @@ impl<T> BindingCell<T> {
     }
 
     /// # Safety
-    /// A turn that began before this call and is known to whoever swaps lasts as long as the answer is used.
+    /// A turn that began before this call and is known to the swapping thread lasts as long as the answer is
+    /// used.
     #[inline(always)]
     unsafe fn in_turn(&self) -> &T {
         // Acquire: sees the value as the swap that released its address left it.
         let node = unpack::<T>(self.word.load(Ordering::Acquire));
-        // SAFETY: a swap that takes this node out comes after the turn's begin, so it finds the turn and keeps the node
-        // until its end; one that came before would have been seen by the load.
+        // SAFETY: a swap that takes this node out comes after the turn's begin, so it finds the turn and
+        // keeps the node until its end; one that came before would have been seen by the load.
         &unsafe { node.as_ref() }.value
     }
 
-    /// Replaces the value for all callers that enter from now on, and drops what nobody is inside of any more;
-    /// how many replaced values are still entered. Managers only: takes a mutex, allocates, never waits for a
-    /// caller.
+    /// Replaces the value for all callers that enter from now on, and drops the values no caller is inside of
+    /// any more; returns how many replaced values are still entered. Managers only: takes a mutex, allocates,
+    /// never waits for a caller.
     pub fn swap(&self, value: Box<T>) -> usize {
         self.swap_after(value, |_| {}, turn::under_way)
     }
 
-    /// As [`BindingCell::swap`], and shows the value that was replaced to `see`, which callers may still be inside of.
+    /// As [`BindingCell::swap`], and shows the replaced value to `see`; callers may still be inside of it.
     pub fn swap_seeing(&self, value: Box<T>, see: impl FnOnce(&T)) -> usize {
         self.swap_after(value, see, turn::under_way)
     }
@@ -155,7 +157,8 @@ impl<T> BindingCell<T> {
         Self::free_left(&mut retired)
     }
 
-    /// Drops the replaced values that nobody is inside of any more; how many remain. Managers only.
+    /// Drops the replaced values that no caller is inside of any more; returns how many remain. Managers
+    /// only.
     pub fn reclaim(&self) -> usize {
         Self::free_left(&mut self.retired.lock().unwrap_or_else(|poisoned| poisoned.into_inner()))
     }
@@ -180,8 +183,8 @@ impl<T> Drop for BindingCell<T> {
     fn drop(&mut self) {
         let retired = self.retired.get_mut();
         for Retired(node, _) in retired.unwrap_or_else(|poisoned| poisoned.into_inner()).drain(..) {
-            // SAFETY: made by `Box::into_raw` and in no other list; guards and looks borrow the cell, so none is alive,
-            // whatever turns still are.
+            // SAFETY: made by `Box::into_raw` and in no other list; guards and looks borrow the cell, so none
+            // is alive, whatever turns still are.
             drop(unsafe { Box::from_raw(node.as_ptr()) });
         }
         // SAFETY: made by `Box::into_raw` and freed nowhere else; guards borrow the cell, so none is alive.
@@ -207,7 +210,8 @@ impl<T> Drop for Guard<'_, T> {
     fn drop(&mut self) {
         let mine = (self.node.as_ptr().expose_provenance() as u64) << COUNT_BITS;
         let mut word = self.cell.word.load(Ordering::Relaxed);
-        // While the node is current its count is in the word. Each turn that fails means another caller got on.
+        // While the node is current its count is in the word. Each turn that fails means another caller got
+        // on.
         while word & !COUNT_MASK == mine {
             match self.cell.word.compare_exchange_weak(word, word - 1, Ordering::Release, Ordering::Relaxed) {
                 Ok(_) => return,

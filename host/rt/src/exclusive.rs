@@ -1,4 +1,4 @@
-//! A value entered by one thread at a time, where whoever comes second is turned away instead of waiting.
+//! A value entered by one thread at a time; a second thread is turned away instead of waiting.
 //!
 //! `entered` is set exactly while a guard lives; only the guard touches the value.
 
@@ -17,7 +17,7 @@ impl<T> TryCell<T> {
         Self { entered: AtomicBool::new(false), value: Shared::new(value) }
     }
 
-    /// Enters, or answers `None` while another guard lives. Any thread; one atomic operation.
+    /// Enters, or returns `None` while another guard lives. Any thread; one atomic operation.
     #[inline]
     pub fn try_enter(&self) -> Option<TryGuard<'_, T>> {
         if self.entered.swap(true, Ordering::Acquire) {

@@ -9,7 +9,7 @@ use crate::os;
 use crate::timing::Grid;
 use crate::wake::{self, Waker};
 
-/// How a thread finds its next cycle.
+/// Rule by which a thread finds its next cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
     /// At every multiple of the period on the monotonic clock, plus the phase.
@@ -95,7 +95,8 @@ impl Pacer {
         self.pace
     }
 
-    /// Moves its grid to another phase, bit by bit, see [`Grid::move_to`]; a grid that begins later begins there.
+    /// Moves its grid to another phase, bit by bit, see [`Grid::move_to`]; a grid that begins later begins
+    /// there.
     pub fn set_phase(&mut self, to_ns: u64) {
         if let Pace::Grid { phase_ns, .. } = &mut self.pace {
             *phase_ns = to_ns;
@@ -105,16 +106,16 @@ impl Pacer {
         }
     }
 
-    /// Sleeps until a wake while nobody needs cycles. Periods in between are neither run nor skipped: the grid
-    /// begins anew with the next [`Pacer::next`].
+    /// Sleeps until a wake while nobody needs cycles. Periods in between are neither run nor skipped: the
+    /// grid begins anew with the next [`Pacer::next`].
     pub fn rest(&mut self, clock: &impl Clock) {
         self.grid = None;
         clock.wait(None);
     }
 
-    /// Sleeps until the next cycle and answers it; or `None` after a wake without one: then serve jobs and call
-    /// again. `signalled` says whether something is there to run for (`Pace::Signal` asks it only). Sleeps at
-    /// most once; no allocation, no lock.
+    /// Sleeps until the next cycle and answers it; or `None` after a wake without one: then serve jobs and
+    /// call again. `signalled` says whether something is there to run for (`Pace::Signal` asks it only).
+    /// Sleeps at most once; no allocation, no lock.
     pub fn next(&mut self, clock: &impl Clock, signalled: impl Fn() -> bool) -> Option<Cycle> {
         match self.pace {
             Pace::Grid { period_ns, phase_ns, catch_up } => {

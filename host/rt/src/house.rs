@@ -1,5 +1,5 @@
-//! This program's own threads, by kernel id: any other thread was started by somebody else's code, whatever
-//! its name is.
+//! This program's own threads, by kernel id: any other thread was started by foreign code, whatever its name
+//! is.
 //!
 //! Invariant: a thread is on the list before it runs anything of this program's, and until that is over.
 
@@ -17,12 +17,13 @@ fn list() -> MutexGuard<'static, BTreeSet<i32>> {
     OWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The calling thread is this program's own, until [`end`]. For runtimes that start threads by themselves.
+/// Makes the calling thread one of this program's own, until [`end`]. For runtimes that start threads by
+/// themselves.
 pub fn begin() {
     list().insert(os::thread_id());
 }
 
-/// The calling thread ends.
+/// Takes the calling thread off the list, since it ends.
 pub fn end() {
     list().remove(&os::thread_id());
 }
@@ -32,10 +33,10 @@ pub fn threads() -> BTreeSet<i32> {
     list().clone()
 }
 
-/// Own threads that the machine has not given.
+/// Number of own threads that the machine has not given.
 static REFUSED: AtomicU64 = AtomicU64::new(0);
 
-/// So many own threads could not be started so far.
+/// Returns the number of own threads that could not be started so far.
 pub fn refused() -> u64 {
     REFUSED.load(Ordering::Relaxed)
 }
@@ -58,7 +59,7 @@ pub fn spawn<T: Send + 'static>(
     started
 }
 
-/// Runs what a thread is for; the words of its panic, if it broke down.
+/// Runs a thread's work; returns the words of its panic, if it broke down.
 pub fn breakdown(run: impl FnOnce()) -> Option<String> {
     let panic = catch_unwind(AssertUnwindSafe(run)).err()?;
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);

@@ -1,7 +1,9 @@
-//! Values a real-time thread lets go of and a manager drops: a list that is pushed to without waiting and taken out whole.
+//! Values a real-time thread lets go of and a manager drops: a list that is pushed to without waiting and
+//! taken out whole.
 //!
-//! A value stands in one list at most, once, and the list owns every count that was left: the last count is always dropped
-//! by a manager. Entries only come singly and go all at once, so no address that returns can confuse a push.
+//! A value stands in one list at most, once, and the list owns every count that was left: the last count is
+//! always dropped by a manager. Entries only come singly and go all at once, so no address that returns can
+//! confuse a push.
 
 use std::ptr::null_mut;
 use std::sync::Arc;
@@ -21,15 +23,16 @@ impl<T> Default for Left<T> {
     }
 }
 
-/// What can be left.
+/// A value that can be left.
 ///
 /// # Safety
-/// `left` answers the same place of the value each time, which nobody else uses, and the value goes into one list only.
+/// `left` answers the same place of the value each time, which nobody else uses, and the value goes into one
+/// list only.
 pub unsafe trait Leave: Sized {
     fn left(&self) -> &Left<Self>;
 }
 
-/// What was left and nobody dropped yet; dropping the list drops it.
+/// Values that were left and not dropped yet; dropping the list drops them.
 pub struct LeftList<T: Leave> {
     first: AtomicPtr<T>,
     owns: std::marker::PhantomData<Arc<T>>,
@@ -45,10 +48,11 @@ impl<T: Leave> LeftList<T> {
     /// Leaves a value to the managers. Any thread; no allocation, no release of memory, never waits.
     pub fn leave(&self, value: Arc<T>) {
         let value = Arc::into_raw(value).cast_mut();
-        // Release: what was done with it comes before its end, which whoever takes this count over sees to.
+        // Release: all uses of the value come before its end; the thread that takes this count over sees to
+        // that.
         // SAFETY: the count stays this call's until it is added.
         if unsafe { &*value }.left().counts.fetch_add(1, Ordering::AcqRel) > 0 {
-            // It stands in the list already; the count goes with that entry.
+            // The value stands in the list already; the count goes with that entry.
             return;
         }
         let mut first = self.first.load(Ordering::Relaxed);
@@ -62,7 +66,7 @@ impl<T: Leave> LeftList<T> {
         }
     }
 
-    /// Gives up the list's counts on all that was left; how many values. Managers only.
+    /// Gives up the list's counts on all that was left; returns the number of values. Managers only.
     pub fn drop_all(&self) -> usize {
         self.drop_each(|_| {})
     }
@@ -70,13 +74,14 @@ impl<T: Leave> LeftList<T> {
     /// As [`LeftList::drop_all`], and shows each value to `see` before.
     pub fn drop_each(&self, see: impl Fn(&T)) -> usize {
         let mut dropped = 0;
-        // Acquire: sees each value, and its place in the list, as whoever left it did.
+        // Acquire: sees each value, and its place in the list, as the leaving thread did.
         let mut at = self.first.swap(null_mut(), Ordering::Acquire);
         while !at.is_null() {
             // SAFETY: the entry owns a count that `leave` gave it, and the list was taken out whole.
             let value = unsafe { Arc::from_raw(at) };
             at = value.left().next.load(Ordering::Relaxed);
-            // Acquire: sees what each that left a count has done. From here on it may enter the list anew.
+            // Acquire: sees all that each leaving thread has done. From here on the value may enter the list
+            // anew.
             let counts = value.left().counts.swap(0, Ordering::AcqRel);
             see(&value);
             for _ in 1..counts {
@@ -128,7 +133,7 @@ mod models {
 
     impl Drop for Link {
         fn drop(&mut self) {
-            // What the reader did with it comes before its end.
+            // The reader's accesses come before the end of the link.
             self.content.set(0);
             self.drops.0.lock().unwrap().push(loom::thread::current().id());
         }
@@ -158,8 +163,8 @@ mod models {
         }
     }
 
-    /// A reader that picks links up while they are replaced, and a manager that drops them: each link ends once, after
-    /// whatever the reader did with it.
+    /// A reader that picks links up while they are replaced, and a manager that drops them: each link ends
+    /// once, after all accesses of the reader.
     #[test]
     fn loom_a_link_that_is_replaced_is_dropped_once_and_after_its_reader_left_it() {
         model_within(3, || {
@@ -193,8 +198,8 @@ mod models {
         });
     }
 
-    /// The same value left twice while the list is dropped: it is in there once at a time, none of its counts is lost, and
-    /// whoever leaves it never frees it.
+    /// The same value left twice while the list is dropped: it is in there once at a time, none of its counts
+    /// is lost, and the thread that leaves it never frees it.
     #[test]
     fn loom_a_value_that_is_left_again_is_dropped_once_and_by_a_manager() {
         model_within(3, || {
@@ -216,7 +221,8 @@ mod models {
         });
     }
 
-    /// Two threads leave, a third drops: nothing is lost between a push and the list that is taken out under it.
+    /// Two threads leave, a third drops: nothing is lost between a push and the list that is taken out under
+    /// it.
     #[test]
     fn loom_all_that_several_threads_leave_is_dropped_once() {
         model_within(3, || {

@@ -1,8 +1,8 @@
 //! The real-time core: everything that is lock-free in trocar, and the few system calls it rests on.
 //!
 //! Nothing on the step path allocates, locks, logs, or loops without a bound, and the only system calls made
-//! there are the futex wake, and the sleep of an executor and of a team that waits for its last slice. Ordering is by
-//! acquire/release operations, never by a fence.
+//! there are the futex wake, and the sleep of an executor and of a team that waits for its last slice.
+//! Ordering is by acquire/release operations, never by a fence.
 
 #![allow(unexpected_cfgs, reason = "cfg(loom) is set by hand, to run the models")]
 

@@ -1,10 +1,11 @@
 //! The bounded mailbox of one client at one server: any thread pushes, the server's thread drains.
 //!
-//! An entry belongs to whoever moved its slot's sequence to *busy*, and whoever does so ends by queueing or
-//! taking an entry, so a drain that stops at a busy slot is always followed by a notification: of the push, or of
-//! whoever threw entries out.
+//! An entry belongs to the thread that moved its slot's sequence to *busy*, and that thread ends by queueing
+//! or taking an entry. So a drain that stops at a busy slot is always followed by a notification: of the
+//! push, or of the thread that threw entries out.
 //! Every head that is dropped is handed to exactly one caller, so that its reply can be answered.
-//! Its words may lie where another process can write them: none of them is trusted for an address, a length or an end of a loop.
+//! Another process may write the words of a mailbox: none of them is trusted for an address, a length or an
+//! end of a loop.
 
 #[cfg(all(test, loom))]
 mod models;
@@ -19,7 +20,7 @@ use crate::exclusive::TryCell;
 use crate::region::{Bytes, Layout, Place, Plain, Table, told};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded, Scope, Shared, rest, spin_loop};
 
-/// What an entry is, apart from its payload.
+/// Head of an entry, before its payload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct EntryHead {
@@ -33,7 +34,7 @@ pub struct EntryHead {
     pub stamp_ns: u64,
 }
 
-/// What happens when the mailbox is full.
+/// Behaviour of a full mailbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overflow {
     /// The new entry is refused.
@@ -45,7 +46,7 @@ pub enum Overflow {
     DropOldest,
 }
 
-/// What became of a push. Notify the server after `Queued` and `DroppedOldest`.
+/// Result of a push. Notify the server after `Queued` and `DroppedOldest`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use = "a dropped or refused entry must be answered"]
 pub enum Push {
@@ -64,9 +65,9 @@ pub enum Push {
 /// Counters of a mailbox since it was made, in entries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MailboxStats {
-    /// How many fit.
+    /// Number of entries that fit.
     pub depth: u64,
-    /// How many are queued now.
+    /// Number of entries queued now.
     pub queued: u64,
     /// The most that were ever queued at once.
     pub high_water: u64,
@@ -80,9 +81,10 @@ pub struct MailboxStats {
     pub rejected: u64,
 }
 
-/// Attempts of a push against other threads before it answers `Full`.
+/// Attempts of a push against other threads before it returns `Full`.
 const ATTEMPTS: usize = if cfg!(loom) { 6 } else { 256 };
-/// How long `close` sleeps between two looks at an entry in another's hands, ns: twice as long each time, from the shorter to the longer.
+/// Sleep of `close` between two looks at an entry in another thread's hands, ns: twice as long each time,
+/// from the shorter to the longer.
 const RESTS_NS: std::ops::RangeInclusive<u64> = 20_000..=1_000_000;
 /// Set in `tail` when the mailbox is closed: no push can claim a position any more.
 const CLOSED: u64 = 1 << 63;
@@ -98,7 +100,7 @@ pub struct Mailbox {
     newest: Table<AtomicU64>,
     ours: Place<Padded<Clients>>,
     theirs: Place<Padded<Server>>,
-    /// Who else can write all this.
+    /// Threads that can write all this: of this process, or of another one, too.
     scope: Scope,
     /// The server's own copy of the entry it handles, so that the slot is free meanwhile.
     handled: TryCell<AlignedBuf>,
@@ -205,7 +207,7 @@ impl Mailbox {
             let oldest = self.oldest_for(tail);
             if tail.saturating_sub(oldest) < self.depth {
                 if self.slot(tail).sequence.load(Ordering::Acquire) != phase(tail, FREE) {
-                    // The entry one round ago is still being copied out, or this tail is no longer true.
+                    // The entry one round ago is still being copied out, or this tail is out of date.
                     spin_loop();
                 } else if self.claim_tail(tail) {
                     self.fill(tail, head, payload, overflow);
@@ -220,8 +222,8 @@ impl Mailbox {
                 Overflow::LatestWins => self.would_be_superseded(oldest, head.index),
             };
             if may_drop {
-                // The room for the new entry is asked for first: it stays, and an entry once claimed must not be put back,
-                // since a drain that met it would have gone to sleep over it.
+                // The room for the new entry is checked first: it stays, and a claimed entry must not be put
+                // back, since a drain that met it would have gone to sleep over it.
                 if self.slot(tail).sequence.load(Ordering::Acquire) == phase(tail, FREE) && self.claim(oldest)
                 {
                     return self.push_instead_of(oldest, tail, head, payload, overflow);
@@ -237,8 +239,8 @@ impl Mailbox {
     }
 
     /// With the mailbox full and its oldest slot owned, nobody else can claim the tail: the spare slot of the
-    /// ring, found free before, takes the new entry before the oldest gives its place up, so exactly one entry
-    /// pays for it.
+    /// ring, found free before, takes the new entry before the oldest gives its place up, so exactly one
+    /// entry pays for it.
     fn push_instead_of(
         &self,
         oldest: u64,
@@ -273,10 +275,10 @@ impl Mailbox {
         Some(dropped)
     }
 
-    /// Hands entries to `run` in order: what was queued at entry, plus once what arrived meanwhile; those
-    /// that a newer one superseded go to `skip`. How many were run. The payload is 16-byte aligned and valid
-    /// during the call; the slot is already free then. Server's thread only: while a drain runs, a second one
-    /// (from inside `run`, or another thread) does nothing and answers 0.
+    /// Hands entries to `run` in order: those queued at entry, plus once those that arrived meanwhile;
+    /// entries that a newer one superseded go to `skip`. Returns how many were run. The payload is 16-byte
+    /// aligned and valid during the call; the slot is already free then. Server's thread only: while a drain
+    /// runs, a second one (from inside `run`, or another thread) does nothing and returns 0.
     pub fn drain(&self, mut run: impl FnMut(EntryHead, &[u8]), mut skip: impl FnMut(EntryHead)) -> usize {
         let Some(mut mine) = self.handled.try_enter() else { return 0 };
         let mut handled = 0;
@@ -310,11 +312,12 @@ impl Mailbox {
         handled
     }
 
-    /// Hands the heads of what is queued now to `refuse` instead of running it; those that a newer one superseded go to
-    /// `skip`. Any thread, also while a drain is inside an entry: then that drain does not find them any more. An entry that is
-    /// just being pushed or taken is looked at for `COPYING_NS`, not waited for: then it stays, with all behind it, for its own
-    /// notification. Beside a drain, whoever calls this meets the server's mark afterwards, and where an entry is ready then, sets
-    /// it: the drain may have left what came behind an entry that was in hand here.
+    /// Hands the heads of what is queued now to `refuse` instead of running it; those that a newer one
+    /// superseded go to `skip`. Any thread, also while a drain is inside an entry: then that drain does not
+    /// find them any more. An entry that is just being pushed or taken is looked at for `COPYING_NS`, not
+    /// waited for: then it stays, with all behind it, for its own notification. Beside a drain, the caller
+    /// meets the server's mark afterwards, and sets it where an entry is ready then: the drain may have left
+    /// the entries behind one that was in hand here.
     pub fn throw_out(&self, mut refuse: impl FnMut(EntryHead), mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
         for _ in 0..self.slots.len() {
@@ -333,10 +336,10 @@ impl Mailbox {
         }
     }
 
-    /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's thread: sleeps
-    /// until a push that is just copying is done, so that one which was suspended gets a processor whatever their
-    /// priorities are. Where another process pushes, which may have died over it, some ms are enough: what it has not
-    /// written then is handed out as a head of zeros.
+    /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's
+    /// thread: sleeps until a push that is just copying is done, so that a suspended one gets a processor
+    /// whatever the priorities are. A pushing process may have died over its push, so for another process
+    /// some ms are enough: an entry it has not written then is handed out as a head of zeros.
     pub fn close(&self, mut skip: impl FnMut(EntryHead)) {
         let end = self.ours.0.tail.fetch_or(CLOSED, Ordering::AcqRel) & !CLOSED;
         let mut rest_ns = *RESTS_NS.start();
@@ -365,8 +368,9 @@ impl Mailbox {
         }
     }
 
-    /// Takes what is left of a closed mailbox behind an entry that stays in another's hands, `left` entries at most. A push that has
-    /// its position and goes on later is told that it is queued, so it counts here; what is just being taken is its taker's.
+    /// Takes the entries of a closed mailbox behind one that stays in another thread's hands, `left` at most.
+    /// A push that has its position and goes on later is told that it is queued, so it counts here; an entry
+    /// that is just being taken belongs to its taker.
     fn abandon(&self, end: u64, left: usize, mut skip: impl FnMut(EntryHead)) {
         let oldest = self.theirs.0.head.load(Ordering::Acquire);
         for at in (oldest..end).take(left) {
@@ -381,17 +385,18 @@ impl Mailbox {
             count(&self.theirs.0.skipped);
             skip(head);
         }
-        // Whoever drains later finds none of them.
+        // A later drain finds none of them.
         self.theirs.0.head.store(end.max(oldest), Ordering::Release);
     }
 
-    /// Whether nothing is queued, nor just being pushed.
+    /// Tells whether no entry is queued, nor just being pushed.
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Whether the oldest entry can be taken. One that is just being pushed, or taken, is told of by whoever does so.
+    /// Tells whether the oldest entry can be taken. The thread that pushes or takes it now notifies the
+    /// server of it.
     pub fn has_ready(&self) -> bool {
         let oldest = self.theirs.0.head.load(Ordering::Acquire);
         self.slot(oldest).sequence.load(Ordering::Acquire) == phase(oldest, READY)
@@ -403,7 +408,7 @@ impl Mailbox {
         (self.ours.0.tail.load(Ordering::Acquire) & !CLOSED).saturating_sub(head)
     }
 
-    /// The counters now; each is exact, all together are of nearly the same moment.
+    /// Returns the counters now; each is exact, all together are of nearly the same moment.
     pub fn stats(&self) -> MailboxStats {
         let pushed = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
         MailboxStats {
@@ -423,7 +428,7 @@ impl Mailbox {
         }
     }
 
-    /// The oldest position, or a lower one when even that leaves room and is no new high water.
+    /// Returns the oldest position, or a lower one when even that leaves room and is no new high water.
     #[inline]
     fn oldest_for(&self, tail: u64) -> u64 {
         let clients = &self.ours.0;
@@ -443,8 +448,8 @@ impl Mailbox {
         self.newest.get(index as usize).map_or(0, |newest| newest.load(Ordering::Acquire))
     }
 
-    /// Whether the entry at `oldest` is superseded, or will be by a push of `index`. Still true when the claim
-    /// of that very position succeeds afterwards: its index cannot change before it is taken.
+    /// Tells whether the entry at `oldest` is superseded, or will be by a push of `index`. Still true when
+    /// the claim of that very position succeeds afterwards: its index cannot change before it is taken.
     fn would_be_superseded(&self, oldest: u64, index: u32) -> bool {
         let slot = self.slot(oldest);
         if slot.sequence.load(Ordering::Acquire) != phase(oldest, READY) {
@@ -466,7 +471,8 @@ fn count(counter: &AtomicU64) {
     counter.fetch_add(1, Ordering::Relaxed);
 }
 
-// SAFETY: bodies and payloads are reached only by the owner of their slot, passed on with Release and Acquire.
+// SAFETY: bodies and payloads are reached only by the owner of their slot, passed on with Release and
+// Acquire.
 unsafe impl Send for Mailbox {}
 // SAFETY: as above.
 unsafe impl Sync for Mailbox {}

@@ -1,17 +1,18 @@
 //! Sealed memfds and their mappings: memory that other processes can be given, but that nobody can shrink.
 //!
-//! The seals are what makes handing a descriptor out, or taking one, safe: no truncation (SIGBUS), and for pools no new
-//! writable mapping. What was taken from another process is checked for its kind, its seals, its size and its pages before it is
-//! mapped: nothing it does later makes an access fail, and mapping it takes no memory that it did not have already.
+//! The seals make it safe to hand a descriptor out, or to take one: no truncation (SIGBUS), and for pools no
+//! new writable mapping. A file of another process is checked for its kind, its seals, its size and its pages
+//! before it is mapped: nothing that process does later makes an access fail, and mapping it takes no memory
+//! that it did not have already.
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::ptr::NonNull;
 
-/// Who may write the memory of a file.
+/// Processes that may write the memory of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Writers {
-    /// Whoever made it; everybody else gets read-only mappings.
+    /// The process that made it; all others get read-only mappings.
     Maker,
     /// Both ends of a link.
     BothEnds,
@@ -36,10 +37,10 @@ fn check(rc: i32, what: &str) -> io::Result<i32> {
     Err(io::Error::new(error.kind(), format!("{what}: {error}")))
 }
 
-/// One part in this many of the available memory is left to everybody else.
+/// One part in this many of the available memory is left to all other processes.
 const RESERVE: usize = 8;
 
-/// Bytes the machine can give without swapping; never an answer that means "no limit".
+/// Returns the bytes the machine can give without swapping; never an answer that means "no limit".
 fn available_memory() -> usize {
     let info = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let line = info.lines().find_map(|l| l.strip_prefix("MemAvailable:"));
@@ -47,7 +48,7 @@ fn available_memory() -> usize {
     kib.map_or_else(free_memory, |kib| kib.saturating_mul(1024))
 }
 
-/// Bytes of unused pages: less than what is available, for when /proc cannot be read.
+/// Returns the bytes of unused pages: less than what is available, for when /proc cannot be read.
 fn free_memory() -> usize {
     // SAFETY: sysconf takes a number and answers one.
     let (pages, bytes) =
@@ -55,12 +56,13 @@ fn free_memory() -> usize {
     usize::try_from(pages).unwrap_or(0).saturating_mul(usize::try_from(bytes).unwrap_or(0))
 }
 
-/// Refuses what does not fit into the memory that is available now, with a sentence that says how much that is.
+/// Refuses what does not fit into the memory that is available now, with a sentence that says how much that
+/// is.
 ///
 /// # Errors
 /// It does not fit.
 pub fn room_for(len: usize) -> io::Result<()> {
-    // Without this check fallocate goes on taking pages until the kernel kills processes, anybody's.
+    // Without this check fallocate goes on taking pages until the kernel kills processes, of any user.
     let available = available_memory();
     if len <= available - available / RESERVE {
         return Ok(());
@@ -74,7 +76,8 @@ pub fn room_for(len: usize) -> io::Result<()> {
     ))
 }
 
-/// Refuses a file that is longer than this process may make one: asked for it, the kernel would end the process by a signal.
+/// Refuses a file that is longer than this process may make one: the kernel would end the process by a
+/// signal.
 fn may_write(what: &str, len: usize) -> io::Result<()> {
     let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
     // SAFETY: a place for the answer.
@@ -91,7 +94,8 @@ fn may_write(what: &str, len: usize) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether the descriptor is of the memory that memfd_create makes of usual pages: huge ones can be missing when they are touched.
+/// Tells whether the descriptor is of memfd memory with usual pages: huge ones can be missing when they are
+/// touched.
 fn is_usual_memory(fd: BorrowedFd<'_>) -> bool {
     // SAFETY: a zeroed statfs is a valid place for the answer.
     let mut stat: libc::statfs = unsafe { std::mem::zeroed() };
@@ -104,8 +108,8 @@ fn is_usual_memory(fd: BorrowedFd<'_>) -> bool {
 const STAT_BLOCK: u64 = 512;
 
 impl Mapping {
-    /// A file of `len` bytes, all pages present and zeroed, mapped for writing and sealed. `what` names it in errors: "a
-    /// frame pool", "a link".
+    /// Creates a file of `len` bytes, all pages present and zeroed, mapped for writing and sealed. `what`
+    /// names it in errors: "a frame pool", "a link".
     ///
     /// # Errors
     /// The machine has not that much memory, or memfd is not allowed.
@@ -137,11 +141,11 @@ impl Mapping {
         Ok(mapping)
     }
 
-    /// The file another process made, for reading, or for writing where both ends may.
+    /// Maps the file another process made, for reading, or for writing where both ends may.
     ///
     /// # Errors
-    /// It is no memfd of exactly `len` bytes that can neither shrink nor grow, has all its pages, and, where only its maker may
-    /// write, takes no new writers.
+    /// It is no memfd of exactly `len` bytes that can neither shrink nor grow, has all its pages, and, where
+    /// only its maker may write, takes no new writers.
     pub(crate) fn open(fd: OwnedFd, len: usize, writers: Writers) -> io::Result<Self> {
         let refuse = |why: String| Err(io::Error::new(io::ErrorKind::InvalidData, why));
         // SAFETY: a call on an own descriptor without arguments.
@@ -150,7 +154,7 @@ impl Mapping {
         if seals < 0 || seals & wanted != wanted || !is_usual_memory(fd.as_fd()) {
             return refuse("the memory handed over is no memfd that can neither shrink nor grow".into());
         }
-        // With it the maker cannot punch holes either, which would fill again at this process's cost.
+        // With this seal the maker cannot punch holes either, which would fill again at this process's cost.
         if writers == Writers::Maker && seals & libc::F_SEAL_FUTURE_WRITE == 0 {
             return refuse("the memory handed over takes new writers".into());
         }
@@ -216,7 +220,7 @@ mod tests {
         memfd(len, len, seals)
     }
 
-    /// With so many of its bytes present.
+    /// Makes a memfd with so many of its bytes present.
     fn memfd(len: i64, present: i64, seals: i32) -> OwnedFd {
         // SAFETY: a C string and flags; the descriptor is owned from here on.
         unsafe {
@@ -274,7 +278,7 @@ mod tests {
         assert!(Mapping::open(pipe.into(), 4096, Writers::BothEnds).is_err(), "a pipe was taken");
     }
 
-    /// Mapped, it would take the memory that is missing from this process, and might find none.
+    /// Once mapped, it would take the missing memory from this process, and might find none.
     #[test]
     fn memory_with_holes_is_refused_before_it_is_mapped() {
         let all = libc::F_SEAL_SHRINK | libc::F_SEAL_GROW | libc::F_SEAL_FUTURE_WRITE;

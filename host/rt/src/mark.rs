@@ -1,13 +1,15 @@
-//! A mark that something waits, beside a lock that somebody may hold: nobody waits for the lock, and nothing marked stays
-//! behind.
+//! A mark that something waits, beside a lock that another thread may hold: no thread waits for the lock, and
+//! nothing marked stays behind.
 //!
-//! Whoever brings something marks it and tries to come in; whoever leaves looks at the mark. Each of them changes the mark by
-//! a read-modify-write and never only reads or writes it: whoever comes second in its order sees what the first did before,
-//! so either the one who leaves finds the mark, or the other one finds the lock free.
+//! A thread that brings something marks it and tries to come in; a thread that leaves looks at the mark. Both
+//! change the mark by a read-modify-write and never only read or write it: the second one in the mark's order
+//! sees what the first one did before. So either the leaving thread finds the mark, or the other one finds
+//! the lock free.
 
 use crate::sync::{AtomicBool, Ordering};
 
-/// Something is there for whoever can come in. On a line of its own: others write it while its owner works.
+/// Tells that something is there for the next thread that comes in. On a line of its own: others write it
+/// while its owner works.
 #[repr(align(64))]
 pub struct Mark(AtomicBool);
 
@@ -23,45 +25,48 @@ impl Mark {
         self.0.swap(true, Ordering::SeqCst);
     }
 
-    /// Marks, for the thread that alone takes it off and looks at it later by itself: without a read-modify-write.
+    /// Marks, without a read-modify-write. Only for the thread that alone takes the mark off and looks at it
+    /// later by itself.
     #[inline]
     pub fn set_here(&self) {
         self.0.store(true, Ordering::Release);
     }
 
-    /// Whether it is on; in one order with all that is `SeqCst`.
+    /// Tells whether it is on; in one order with all that is `SeqCst`.
     #[inline]
     pub fn is_set(&self) -> bool {
         self.0.load(Ordering::SeqCst)
     }
 
-    /// Takes it off; whether it was on. Sees what was done before it was set.
+    /// Takes it off; returns whether it was on. Sees what was done before it was set.
     pub fn take(&self) -> bool {
         self.0.swap(false, Ordering::AcqRel)
     }
 
-    /// As [`Mark::take`], for a thread that is told when there is something: a plain load while there is nothing.
+    /// As [`Mark::take`], for a thread that is told when there is something: a plain load while there is
+    /// nothing.
     #[inline]
     pub fn take_if_set(&self) -> bool {
         self.is_set() && self.take()
     }
 
-    /// Leaves the mark as it is and comes into one order with those who set it: who set it before brought what is seen from now
-    /// on, and who sets it later sees what the caller did before. For whoever takes something from all who might bring more.
+    /// Leaves the mark as it is and comes into one order with the threads that set it: the caller sees from
+    /// now on what was brought before an earlier set, and a later set sees what the caller did before. For a
+    /// thread that takes something from all who might bring more.
     pub fn meet(&self) {
         self.0.fetch_or(false, Ordering::SeqCst);
     }
 
-    /// Leaves the mark for whoever is inside, who looks at it when leaving; true when nobody is any more, and the one who
-    /// asked has to try again. `is_free` loads the lock with Acquire.
+    /// Leaves the mark for the thread inside, which looks at it when leaving. Returns true when no thread is
+    /// inside any more: the caller has to try again. `is_free` loads the lock with Acquire.
     pub fn leave(&self, is_free: impl FnOnce() -> bool) -> bool {
         self.0.swap(true, Ordering::AcqRel);
         is_free()
     }
 
-    /// Works off what is marked, in `rounds` at most: `enter` comes in, `work` works and leaves. Asked by whoever has just
-    /// marked something, and by whoever has just left. True when something is still marked and nobody was seen inside: then
-    /// another thread must go on.
+    /// Works off what is marked, in `rounds` at most: `enter` comes in, `work` works and leaves. For a thread
+    /// that has just marked something, or has just left. Returns true when something is still marked and no
+    /// thread was seen inside: then another thread must go on.
     pub fn serve<G>(
         &self,
         rounds: usize,
@@ -91,7 +96,8 @@ mod models {
     use crate::loom_models::{Plain, model_within};
     use crate::sync::AtomicU32;
 
-    /// A lock as that of an instance: taken by a compare-and-swap, given back by a swap, never waited for here.
+    /// A lock as that of an instance: taken by a compare-and-swap, given back by a swap, never waited for
+    /// here.
     struct Lock(AtomicU32);
 
     struct Held<'a>(&'a Lock);
@@ -113,7 +119,8 @@ mod models {
         }
     }
 
-    /// A passive component: what was brought and not worked off (one flag per bringer), and what only the holder touches.
+    /// A passive component: things brought and not worked off (one flag per bringer), and data only the
+    /// holder touches.
     struct Passive {
         mark: Mark,
         lock: Lock,
@@ -153,7 +160,7 @@ mod models {
             self.serve()
         }
 
-        /// What its own thread does when it is woken; then nothing may be left.
+        /// Work of the component's own thread when it is woken; then nothing may be left.
         fn ends(&self, woken: bool) {
             if woken {
                 self.serve();
@@ -177,8 +184,8 @@ mod models {
         });
     }
 
-    /// A caller inside runs its own command, in which something comes back to the component it is in: queued, and run when it
-    /// leaves; so is what another thread brings meanwhile.
+    /// A caller inside runs its own command, which brings something back to its component: it is queued, and
+    /// run when the caller leaves; so is what another thread brings meanwhile.
     #[test]
     fn loom_what_comes_while_somebody_is_inside_runs_when_that_one_leaves() {
         model_within(3, || {

@@ -40,23 +40,26 @@ pub fn boot_ticks() -> u64 {
     t.tv_sec as u64 * 100 + t.tv_nsec as u64 / 10_000_000
 }
 
-/// Kernel id of the calling thread, as /proc lists it; 0 where that does not tell.
+/// Returns the kernel id of the calling thread, as /proc lists it; 0 where that does not tell.
 pub fn thread_id() -> i32 {
     let link = std::fs::read_link("/proc/thread-self").unwrap_or_default();
     link.file_name().and_then(|n| n.to_str()).and_then(|n| n.parse().ok()).unwrap_or(0)
 }
 
-/// What a thread of this process has run so far, ns, exact also while it runs; `None` when it is gone.
+/// Returns the computing time of a thread of this process so far, ns, exact also while it runs; `None` when
+/// it is gone.
 pub fn thread_ran_ns(tid: i32) -> Option<u64> {
     let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // The kernel's number of the clock that counts what one thread runs: 6 is "a thread's, in ns".
     let clock = (!tid << 3) | 6;
-    // SAFETY: `t` is a valid place for the answer; a clock of a thread that is gone is answered with an error.
+    // SAFETY: `t` is a valid place for the answer; a clock of a thread that is gone is answered with an
+    // error.
     let rc = unsafe { libc::clock_gettime(clock, &mut t) };
     (rc == 0).then(|| t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64)
 }
 
-/// True for a thread of this process that runs or waits for a processor, false for one that sleeps or is gone.
+/// Tells whether a thread of this process runs or waits for a processor; false for one that sleeps or is
+/// gone.
 pub fn is_ready(tid: i32) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/self/task/{tid}/stat")).unwrap_or_default();
     // "17 (a name) with) anything) R …": the name may hold all but its own end.
@@ -78,7 +81,7 @@ pub enum WaitResult {
     TimedOut,
 }
 
-/// A word of one process costs the kernel less to find.
+/// Returns the futex flag: a word of one process costs the kernel less to find.
 fn flag(scope: Scope) -> i32 {
     match scope {
         Scope::Process => libc::FUTEX_PRIVATE_FLAG,
@@ -128,8 +131,8 @@ pub struct NotAtOnce;
 /// Words one thread can sleep on at once.
 pub const MOST_WORDS: usize = 128;
 
-/// Sleeps while every word holds `expected`, until a wake on one of them or the absolute monotonic deadline in ns. At most
-/// [`MOST_WORDS`]; no allocation.
+/// Sleeps while every word holds `expected`, until a wake on one of them or the absolute monotonic deadline
+/// in ns. At most [`MOST_WORDS`]; no allocation.
 ///
 /// # Errors
 /// The kernel has no futex_waitv (before Linux 5.16), or a sandbox keeps it away.
@@ -147,8 +150,8 @@ pub fn futex_wait_any<'a>(
     }
 }
 
-/// As above, while each word holds what is expected of it; which one's sleeper was woken, `None` when one holds something else, or for
-/// no reason.
+/// As above, while each word holds its own expected value. Returns the index of the word whose sleeper was
+/// woken, `None` when a word holds something else, or for no reason.
 ///
 /// # Errors
 /// As above, or the machine has no memory for it.
@@ -162,7 +165,8 @@ pub fn futex_wait_each<'a>(
     }
 }
 
-/// futex_waitv(2) for words, what they hold, and who wakes; the place of one that was woken, or the errno.
+/// Calls futex_waitv(2) for words, the values they hold, and the scope of their wakers; returns the index of
+/// a word that was woken, or the errno.
 #[inline]
 fn waitv<'a>(
     words: impl Iterator<Item = (&'a AtomicU32, u32, Scope)>,
@@ -202,11 +206,11 @@ pub fn sleep_until(deadline_ns: u64) {
 /// A refusal of the operating system: what was asked, its reason, and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OsError {
-    /// What was asked, with its values.
+    /// The request, with its values.
     pub asked: String,
-    /// The errno it answered, 0 when it was not asked because it could not have worked.
+    /// The errno of the answer, 0 when the call was not made because it could not have worked.
     pub errno: i32,
-    /// What to do.
+    /// Advice.
     pub help: &'static str,
 }
 

@@ -1,6 +1,6 @@
 //! The page two processes share to see that the other one lives.
 //!
-//! Invariant: nothing is done with what the other one writes but to compare it.
+//! Invariant: a number of the other process is only compared.
 
 use std::io;
 use std::os::fd::{BorrowedFd, OwnedFd};
@@ -12,21 +12,21 @@ use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded};
 /// Words of the number that proves that both look at the same page.
 pub const NONCE_WORDS: usize = 2;
 
-/// Of a word of life: the kernel is to wake who sleeps on it.
+/// Flag of a word of life: the kernel is to wake the threads that sleep on it.
 pub(crate) const OWNED: u32 = libc::FUTEX_WAITERS;
 
-/// What the word of the other process says of it.
+/// Meaning of the other process's word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Life {
-    /// Nothing: it has written none, or took it back, or wrote nonsense.
+    /// The word tells nothing: the process has written none, or took it back, or wrote nonsense.
     Untold,
-    /// It lived when it wrote this, and the kernel will change that when it does not any more.
+    /// The process lived when it wrote this, and the kernel changes the word when it does not any more.
     Lives(u32),
-    /// The kernel has marked it, or somebody who can write there: the other process.
+    /// The kernel has marked the word, or the other process, which can write there, too.
     Died,
 }
 
-/// Which of the two ends this process is.
+/// End of the page this process has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     Maker,
@@ -59,7 +59,7 @@ fn parts(layout: &mut Layout) -> (Table<AtomicU64>, Table<Padded<AtomicU32>>) {
 }
 
 impl Pulse {
-    /// A page of its own.
+    /// Makes a page of its own.
     ///
     /// # Errors
     /// The machine gives no such memory.
@@ -72,10 +72,10 @@ impl Pulse {
         Ok(pulse)
     }
 
-    /// The page the other process made.
+    /// Opens the page the other process made.
     ///
     /// # Errors
-    /// What was handed over is no such page.
+    /// The file is no such page.
     pub fn open(fd: OwnedFd) -> io::Result<Pulse> {
         let region = Region::open(fd, Layout::measure(parts))?;
         Ok(Self::of(&region, &mut Layout::of_other_end(&region), End::Guest))
@@ -86,7 +86,7 @@ impl Pulse {
         Pulse { region: Arc::clone(region), words, lives, end }
     }
 
-    /// What the other process is given.
+    /// Returns the descriptor for the other process.
     pub fn fd(&self) -> Option<BorrowedFd<'_>> {
         self.region.fd()
     }
@@ -96,17 +96,17 @@ impl Pulse {
         std::array::from_fn(|i| self.words[BEATS + i].load(Ordering::Relaxed))
     }
 
-    /// This process was alive at `now_ns`.
+    /// Tells that this process was alive at `now_ns`.
     pub fn beat(&self, now_ns: u64) {
         self.words[self.end as usize].store(now_ns, Ordering::Relaxed);
     }
 
-    /// What the other process wrote at its last beat.
+    /// Returns the number the other process wrote at its last beat.
     pub fn theirs(&self) -> u64 {
         self.words[1 - self.end as usize].load(Ordering::Relaxed)
     }
 
-    /// What the word of the other process says of it.
+    /// Returns the meaning of the other process's word.
     pub fn life(&self) -> Life {
         match self.lives[1 - self.end as usize].0.load(Ordering::Acquire) {
             word if word & libc::FUTEX_OWNER_DIED != 0 => Life::Died,
@@ -115,13 +115,13 @@ impl Pulse {
         }
     }
 
-    /// That word, to sleep on.
+    /// Returns that word, to sleep on.
     #[cfg(not(loom))]
     pub fn life_word(&self) -> &AtomicU32 {
         &self.lives[1 - self.end as usize].0
     }
 
-    /// Where the word of this process is: in which file, and how far from its begin, B.
+    /// Returns the place of this process's word: its file, and its offset there, B.
     #[cfg(not(loom))]
     pub(crate) fn own_life(&self) -> Option<(&Arc<Region>, BorrowedFd<'_>, usize)> {
         let at = (&raw const self.lives[self.end as usize]).addr();

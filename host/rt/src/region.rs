@@ -1,8 +1,9 @@
-//! The memory both ends of a link share: a block on the heap of one process, or a memfd mapped by two. The algorithms that
-//! live in it are the same.
+//! The memory both ends of a link share: a block on the heap of one process, or a memfd mapped by two. The
+//! same algorithms work in both.
 //!
-//! Invariant: only what may have any bits lies here ([`Plain`]), since another process can write it; everything an end relies on
-//! (lengths, offsets, its own positions) it keeps to itself. Both ends lay out the same parts in the same order.
+//! Invariant: only values for which any bits are valid lie here ([`Plain`]), since another process can write
+//! them; an end keeps to itself all it relies on (lengths, offsets, its own positions). Both ends lay out the
+//! same parts in the same order.
 
 use std::io;
 use std::ops::Deref;
@@ -20,8 +21,8 @@ pub struct Region {
     parts: std::sync::Mutex<Parts>,
 }
 
-/// Loom's atomics cannot lie just anywhere: the parts of a region are kept by where they would begin, so that both ends find the
-/// same ones.
+/// Loom's atomics cannot lie at any place: the parts of a region are kept by where they would begin, so that
+/// both ends find the same ones.
 #[cfg(loom)]
 type Parts = std::collections::BTreeMap<usize, Arc<dyn std::any::Any>>;
 
@@ -42,7 +43,7 @@ impl Region {
         Self::of(Memory::Heap(AlignedBuf::new(bytes)))
     }
 
-    /// Memory another process can be given: [`Region::fd`].
+    /// Makes memory another process can be given: [`Region::fd`].
     ///
     /// # Errors
     /// The machine has not that much memory.
@@ -50,15 +51,15 @@ impl Region {
         Ok(Self::of(Memory::Mapped(Mapping::create("a link", bytes.max(1), Writers::BothEnds)?)))
     }
 
-    /// Memory that another process made and handed over, of `bytes` bytes.
+    /// Opens memory that another process made and handed over, of `bytes` bytes.
     ///
     /// # Errors
-    /// It has not that size, or could be made smaller under our feet.
+    /// It has not that size, or could be made smaller later.
     pub fn open(fd: OwnedFd, bytes: usize) -> io::Result<Arc<Self>> {
         Ok(Self::of(Memory::Mapped(Mapping::open(fd, bytes.max(1), Writers::BothEnds)?)))
     }
 
-    /// Memory another process can be given to look at, and that nobody else ever writes.
+    /// Makes memory another process can be given to look at, and that no other process ever writes.
     ///
     /// # Errors
     /// The machine has not that much memory.
@@ -66,10 +67,11 @@ impl Region {
         Ok(Self::of(Memory::Mapped(Mapping::create("rows for others", bytes.max(1), Writers::Maker)?)))
     }
 
-    /// Memory of [`Region::shown`] that another process made. Its parts may be loaded here, never stored to.
+    /// Opens memory of [`Region::shown`] that another process made. Its parts may be loaded here, never
+    /// stored to.
     ///
     /// # Errors
-    /// It has not that size, could be made smaller under our feet, or takes other writers.
+    /// It has not that size, could be made smaller later, or takes other writers.
     pub(crate) fn look(fd: OwnedFd, bytes: usize) -> io::Result<Arc<Self>> {
         Ok(Self::of(Memory::Mapped(Mapping::open(fd, bytes.max(1), Writers::Maker)?)))
     }
@@ -82,7 +84,7 @@ impl Region {
         })
     }
 
-    /// The values that begin at `at`, made by whichever end asks first.
+    /// Returns the values that begin at `at`, made by the end that asks first.
     #[cfg(loom)]
     fn part<T: 'static>(&self, at: usize, make: impl FnOnce() -> Box<[T]>) -> Arc<Box<[T]>> {
         let mut parts = self.parts.lock().expect("no model panics in here");
@@ -94,7 +96,7 @@ impl Region {
         unsafe { Arc::from_raw(Arc::into_raw(part).cast::<Box<[T]>>()) }
     }
 
-    /// What another process is to be given; `None` on the heap.
+    /// Returns the descriptor for another process; `None` on the heap.
     pub fn fd(&self) -> Option<BorrowedFd<'_>> {
         match &self.memory {
             Memory::Heap(_) => None,
@@ -117,7 +119,7 @@ impl Region {
     }
 }
 
-/// What may lie in a region: any bits are a value, and nothing is to be dropped.
+/// A type that may lie in a region: any bits are a value, and nothing is to be dropped.
 ///
 /// # Safety
 /// As said, for atomics also where another process writes them at any time.
@@ -147,10 +149,11 @@ unsafe impl AnyBits for u64 {}
 // SAFETY: numbers side by side.
 unsafe impl<T: AnyBits, const N: usize> AnyBits for [T; N] {}
 
-/// The largest count another process is believed, so that sums of counts fit: a million a second for nine years.
+/// The largest count another process is believed, so that sums of counts fit: a million a second for nine
+/// years.
 const MOST: u64 = 1 << 48;
 
-/// A count that may lie where another process has written anything.
+/// Limits a count that may lie where another process has written anything.
 pub(crate) fn told(count: u64) -> u64 {
     count.min(MOST)
 }
@@ -170,24 +173,24 @@ impl Layout {
         parts(&mut Layout { region: Some(region), fresh: true, at: 0 })
     }
 
-    /// How many bytes `parts` take.
+    /// Returns the number of bytes `parts` take.
     pub fn measure<T>(parts: impl FnOnce(&mut Layout) -> T) -> usize {
         let mut dry = Layout { region: None, fresh: false, at: 0 };
         drop(parts(&mut dry));
         dry.at
     }
 
-    /// In fresh memory, by whoever made it.
+    /// Begins a layout in fresh memory, for the process that made it.
     pub fn fresh(region: &Arc<Region>) -> Layout {
         Layout { region: Some(Arc::clone(region)), fresh: true, at: 0 }
     }
 
-    /// In memory where the other end has laid the same parts out.
+    /// Begins a layout in memory where the other end has laid the same parts out.
     pub fn of_other_end(region: &Arc<Region>) -> Layout {
         Layout { region: Some(Arc::clone(region)), fresh: false, at: 0 }
     }
 
-    /// The first `n` words of a region, to see what another process could do to it.
+    /// Returns the first `n` words of a region, to see what another process could do to it.
     #[cfg(not(loom))]
     #[doc(hidden)]
     pub fn words(region: &Arc<Region>, n: usize) -> impl Deref<Target = [AtomicU64]> {
@@ -203,10 +206,11 @@ impl Layout {
         self.region.as_ref().map_or(Scope::Process, |region| region.scope())
     }
 
-    /// Room for a part: its block and where it begins there. While a layout is measured each part has a block of its own.
+    /// Takes room for a part: its block and its offset there. While a layout is measured each part has a
+    /// block of its own.
     fn take(&mut self, bytes: usize) -> (Arc<Region>, usize) {
         let at = self.at;
-        // Loom's parts are told apart by where they begin.
+        // Loom's parts are told apart by their beginning.
         let bytes = if cfg!(loom) { bytes.max(1) } else { bytes };
         let end = at.checked_add(bytes).and_then(|end| end.checked_next_multiple_of(ALIGN));
         self.at = end.expect("the parts of a link fit into memory");
@@ -328,7 +332,7 @@ unsafe impl<T: Sync> Send for Place<T> {}
 // SAFETY: as above.
 unsafe impl<T: Sync> Sync for Place<T> {}
 
-/// Bytes in a region, reached by address. Who may touch which of them is decided by its users.
+/// Bytes in a region, reached by address. Its users decide which thread may touch which of them.
 pub(crate) struct Bytes {
     start: *mut u8,
     len: usize,
@@ -340,7 +344,8 @@ impl Bytes {
     #[inline]
     pub(crate) fn at(&self, offset: usize) -> *mut u8 {
         assert!(offset <= self.len, "offset {offset} is outside the {} bytes", self.len);
-        // SAFETY: the part lies inside the block, and the offset was just checked to lie inside the part or one past its end.
+        // SAFETY: the part lies inside the block, and the offset was just checked to lie inside the part or
+        // one past its end.
         unsafe { self.start.add(offset) }
     }
 }

@@ -1,7 +1,8 @@
-//! Reply cells: where a blocking caller waits, always with a deadline, and its server answers without waiting.
+//! Reply cells: a blocking caller waits there, always with a deadline, and its server answers without
+//! waiting.
 //!
-//! One word per cell holds generation, phase and whether the caller sleeps; every step is a compare-and-swap on
-//! it, so a cell is answered once, freed once, and a token of an earlier use fits nothing any more.
+//! One word per cell holds generation, phase and whether the caller sleeps; every step is a compare-and-swap
+//! on it, so a cell is answered once, freed once, and a token of an earlier use fits nothing any more.
 
 use std::sync::Arc;
 
@@ -10,21 +11,21 @@ use crate::os::{WaitResult, now_ns};
 use crate::region::{AnyBits, Bytes, Layout, Plain, Table};
 use crate::sync::{AtomicU32, AtomicU64, Futex, Ordering, Scope, Shared, pause_while};
 
-/// What became of a call.
+/// Result of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// The server answered with this status.
     Done(i32),
     /// The deadline passed before the server began; it will not run.
     DeadlineNotStarted,
-    /// The deadline passed while the server was at it; it may still run to its end.
+    /// The deadline passed while the server was running it; it may still run to its end.
     DeadlineMayRun,
 }
 
-/// How long a caller looks for its answer before it sleeps, ns: about what a server takes to wake up, and the caller
-/// after it.
+/// Time a caller looks for its answer before it sleeps, ns: about as long as a server takes to wake up, and
+/// the caller after it.
 const PATIENCE_NS: u64 = 5_000;
-/// Attempts at a word against the other end, and against a machine whose exchanges fail for no reason.
+/// Most attempts at a word against the other end, and against a machine whose exchanges fail for no reason.
 const ATTEMPTS: usize = if cfg!(loom) { 8 } else { 1000 };
 /// Calls that sleep at once after one whose answer did not come within [`PATIENCE_NS`].
 const IMPATIENT: u32 = 31;
@@ -33,13 +34,13 @@ const PHASE: u32 = 0b0111;
 const FREE: u32 = 0;
 /// The caller holds the ticket, the server has not begun.
 const WAITING: u32 = 1;
-/// The server is at it.
+/// The server runs the call.
 const RUNNING: u32 = 2;
 /// Answered; the caller owns the content.
 const DONE: u32 = 3;
-/// The server is at it and the caller has left: the server's end frees the cell.
+/// The server runs the call and the caller has left: the server's end frees the cell.
 const ABANDONED: u32 = 4;
-/// Nobody will answer any more, whatever is still written into the cell: it is not used again.
+/// No answer comes any more, whatever is still written into the cell: it is not used again.
 const LOST: u32 = 5;
 /// The caller sleeps on the word, or is about to.
 const ASLEEP: u32 = 0b1000;
@@ -76,13 +77,13 @@ pub struct ReplyPool {
     ret_bytes: usize,
     text_bytes: usize,
     next: AtomicU32,
-    /// Calls that are still to sleep at once.
+    /// Number of calls that are still to sleep at once.
     impatient: AtomicU32,
-    /// What calls are told that were [`LOST`] here, above [`ENDED`]; 0: none was.
+    /// Status of the calls that were [`LOST`] here, with [`ENDED`]; 0: none was.
     ended: AtomicU64,
 }
 
-/// Beside a status: there is one.
+/// Flag beside a status: there is one.
 const ENDED: u64 = 1 << 32;
 
 // SAFETY: a cell's content is reached by the server in RUNNING and ABANDONED and by the caller in DONE only.
@@ -97,7 +98,8 @@ impl ReplyPool {
         Layout::on_heap(|layout| Self::lay_out(layout, cells, ret_bytes, text_bytes))
     }
 
-    /// As [`ReplyPool::new`], in memory that the other end may have in another process, with the same numbers.
+    /// As [`ReplyPool::new`], in memory that the other end may have in another process, with the same
+    /// numbers.
     pub fn lay_out(layout: &mut Layout, cells: usize, ret_bytes: usize, text_bytes: usize) -> Arc<Self> {
         let stride = round_up(ret_bytes, 64) + round_up(text_bytes, 64);
         Arc::new(Self {
@@ -128,14 +130,15 @@ impl ReplyPool {
         })
     }
 
-    /// Answers every call that is under way with `status`: whoever should have answered is gone, or is not listened to any more.
-    /// The callers' process only; any thread; never waits.
+    /// Answers every call that is under way with `status`: its server is gone, or is not listened to any
+    /// more. The callers' process only; any thread; never waits.
     pub fn end_all(&self, status: i32) {
         self.ended.store(ENDED | u64::from(status.cast_unsigned()), Ordering::Release);
         for cell in self.cells.iter() {
             let word = &cell.state.word;
             let mut now = word.load(Ordering::Relaxed);
-            // The server may begin and the caller fall asleep in between; more is another process that plays with the word.
+            // The server may begin and the caller fall asleep in between; more attempts mean another process
+            // that plays with the word.
             for _ in 0..ATTEMPTS {
                 if !matches!(now & PHASE, WAITING | RUNNING) {
                     break;
@@ -157,14 +160,14 @@ impl ReplyPool {
         }
     }
 
-    /// How many cells are in use now.
+    /// Returns the number of cells in use now.
     pub fn in_use(&self) -> usize {
         self.cells.iter().filter(|c| c.state.word.load(Ordering::Relaxed) & PHASE != FREE).count()
     }
 
-    /// The server begins the call of this token. `None`: the caller has given up, or the token is 0 or of an
-    /// earlier use; then the entry is not to be executed for its sake. Should the answer never come (the
-    /// [`Running`] is dropped, by a panic or a removal), the caller gets `status_if_dropped`.
+    /// Begins the call of this token, for the server. `None`: the caller has given up, or the token is 0 or
+    /// of an earlier use; then the entry is not to be executed for its sake. Should the answer never come
+    /// (the [`Running`] is dropped, by a panic or a removal), the caller gets `status_if_dropped`.
     pub fn begin(&self, token: u64, status_if_dropped: i32) -> Option<Running<'_>> {
         let index = (token as u32).checked_sub(1)? as usize;
         let cell = self.cells.get(index)?;
@@ -187,7 +190,7 @@ impl ReplyPool {
         None
     }
 
-    /// Answers the call of this token unexecuted; whether somebody was still waiting for it.
+    /// Answers the call of this token unexecuted; returns whether a caller was still waiting for it.
     pub fn fail(&self, token: u64, status: i32) -> bool {
         self.begin(token, status).is_some()
     }
@@ -202,7 +205,7 @@ impl ReplyPool {
     }
 }
 
-/// The caller's right to one cell. Dropping it is giving up.
+/// The caller's right to one cell. Dropping it gives the call up.
 #[must_use = "a ticket that is not waited for is given up"]
 pub struct Ticket {
     pool: Arc<ReplyPool>,
@@ -212,12 +215,13 @@ pub struct Ticket {
 }
 
 impl Ticket {
-    /// What the server needs to answer; never 0.
+    /// Returns the token the server needs to answer; never 0.
     pub fn token(&self) -> u64 {
         u64::from(self.word) << 32 | (self.index as u64 + 1)
     }
 
-    /// Waits a little for an answer that comes at once, as it does while its server has a processor of its own.
+    /// Waits a little for an answer that comes at once, as it does while its server has a processor of its
+    /// own.
     fn pause(&self, deadline_ns: u64) {
         let impatient = &self.pool.impatient;
         let left = impatient.load(Ordering::Relaxed);
@@ -276,21 +280,22 @@ impl Ticket {
         Reply::Done(status)
     }
 
-    /// The answer to a call that was given up for it.
+    /// Returns the answer to a call that [`ReplyPool::end_all`] ended.
     fn lost(&self) -> Reply {
         match self.pool.ended.load(Ordering::Acquire) {
-            // Only another process can have said so.
+            // Only another process can have marked it.
             0 => Reply::DeadlineMayRun,
             ended => Reply::Done((ended as u32).cast_signed()),
         }
     }
 
-    /// Leaves the cell, or finds that it is DONE or LOST and stays; the phase it was in. Called again, it finds a
-    /// cell of another generation and does nothing.
+    /// Leaves the cell, or finds that it is DONE or LOST and stays; returns the phase it was in. Called
+    /// again, it finds a cell of another generation and does nothing.
     fn give_up(&self) -> u32 {
         let word = &self.pool.cells[self.index].state.word;
         let mut now = word.load(Ordering::Acquire);
-        // Begin, finish and the sleeper's mark can each come between once; more is another process that plays with the word.
+        // Begin, finish and the sleeper's mark can each come between once; more attempts mean another process
+        // that plays with the word.
         for _ in 0..ATTEMPTS {
             if now >> GENERATION != self.word >> GENERATION {
                 break;
@@ -354,7 +359,8 @@ impl Running<'_> {
         unsafe { *cell.answer.exclusive() = Answer { status: self.status, text_len } };
         let word = &cell.state.word;
         let mut now = word.load(Ordering::Acquire);
-        // Falling asleep and giving up can each come between once; more is another process that plays with the word.
+        // Falling asleep and giving up can each come between once; more attempts mean another process that
+        // plays with the word.
         for _ in 0..ATTEMPTS {
             let end = match now & PHASE {
                 RUNNING if now >> GENERATION == self.generation => DONE,

@@ -1,6 +1,8 @@
-//! What two processes share for one connection: the parts of a link behind each other in one block of memory, the same on both ends.
+//! The memory two processes share for one connection: the parts of a link behind each other in one block, the
+//! same on both ends.
 //!
-//! Invariant: both ends lay out the same parts from numbers they agreed on before; the header only shows that they did.
+//! Invariant: both ends lay out the same parts from numbers they agreed on before; the header only shows that
+//! they did.
 
 use std::io;
 use std::os::fd::{BorrowedFd, OwnedFd};
@@ -16,17 +18,17 @@ use crate::wake::Waker;
 
 /// "trocarLK" of the first word.
 const MAGIC: u64 = u64::from_le_bytes(*b"trocarLK");
-/// How parts are laid out; both ends must have the same.
+/// Version of the order of the parts; both ends must have the same.
 pub const LAYOUT: u32 = 3;
 /// Rows of the table behind a read: its reader is never lapped by less than three publications.
 const READ_ROWS: usize = 4;
 
-/// What both ends agreed on before there was memory.
+/// Numbers both ends agreed on before there was memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Agreed {
-    /// Of the types that pass.
+    /// Hash of the types that pass.
     pub hash: u64,
-    /// Of this link: no two links, also of one connection, have the same.
+    /// Number of this link: no two links, also of one connection, have the same.
     pub epoch: u64,
 }
 
@@ -70,7 +72,7 @@ pub struct CallShape {
     pub own_reads: usize,
 }
 
-/// A connection of two interfaces; `R` is what stands behind its reads at this end.
+/// A connection of two interfaces; `R` is the object behind its reads at this end.
 pub struct Calls<R> {
     /// The client pushes, the server drains.
     pub commands: Mailbox,
@@ -78,12 +80,12 @@ pub struct Calls<R> {
     /// The server pushes, the client drains.
     pub events: Mailbox,
     pub reads: Vec<R>,
-    /// The sentence of each of them that has failed.
+    /// Text of each failed read.
     pub whys: Vec<R>,
-    /// Where each read the client works out itself stands in the server's description, as the server says: 0 nowhere, else its number
-    /// and one.
+    /// Place in the server's description of each read the client works out itself, as the server tells it: 0
+    /// nowhere, else its number and one.
     pub own_reads: Vec<Word>,
-    /// How the server stands, as it says.
+    /// State of the server, as it tells it.
     pub server: Word,
     /// Rung by the client.
     pub for_server: Arc<Waker>,
@@ -146,8 +148,8 @@ impl FarCalls {
     }
 }
 
-/// The state rows of one component for all other processes: written by its own process alone, which is why they are memory of their
-/// own. `E` is this end.
+/// The state rows of one component for all other processes. Only its own process writes them, which is why
+/// they are memory of their own. `E` is this end.
 pub struct Rows<E> {
     pub end: E,
     region: Option<Arc<Region>>,
@@ -190,7 +192,7 @@ impl Rows<StateReader> {
     }
 }
 
-/// What passes on a stream, and how it queues.
+/// Payload of a stream, and its queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreamShape {
     pub payload: Payload,
@@ -225,7 +227,7 @@ impl<E> Stream<E> {
 }
 
 impl Stream<StreamWriter> {
-    /// Memory for a stream; `pools` are those the reader is told of.
+    /// Makes the memory for a stream; `pools` are those the reader is told of.
     ///
     /// # Errors
     /// The machine has not that much.

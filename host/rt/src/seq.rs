@@ -1,14 +1,16 @@
-//! Rows of words under a sequence: one writer, any readers, and a reader never takes a torn row for a whole one.
+//! Rows of words under a sequence: one writer, any readers, and a reader never takes a torn row for a whole
+//! one.
 //!
-//! Word 0 is the sequence: `2n + 1` while publication `n` is written, `2n + 2` once it is whole. Every word is
-//! stored with Release and loaded with Acquire, so a reader that met one new word also meets the new sequence.
+//! Word 0 is the sequence: `2n + 1` while publication `n` is written, `2n + 2` once it is whole. Every word
+//! is stored with Release and loaded with Acquire, so a reader that met one new word also meets the new
+//! sequence.
 
 use crate::sync::{AtomicU64, Ordering};
 
 /// Words a row needs besides its data.
 pub(crate) const OVERHEAD: usize = 1;
 
-/// How a row differs from the publication asked for.
+/// Difference between a row and the publication asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stale {
     /// A later publication has taken the row, or is taking it.
@@ -27,7 +29,8 @@ fn whole(n: u64) -> u64 {
     n.wrapping_mul(2).wrapping_add(2)
 }
 
-/// Writes publication `n` into the row: the words of `head`, then `data`, which is whole words. One writer only.
+/// Writes publication `n` into the row: the words of `head`, then `data`, which is whole words. One writer
+/// only.
 #[inline]
 pub(crate) fn write<const H: usize>(row: &[AtomicU64], n: u64, head: [u64; H], data: &[u8]) {
     let (sequence, words) = row.split_at(OVERHEAD);
@@ -44,7 +47,8 @@ pub(crate) fn write<const H: usize>(row: &[AtomicU64], n: u64, head: [u64; H], d
     sequence[0].store(whole, Ordering::Release);
 }
 
-/// Reads publication `n`: its first words, then as many of its bytes as `data` takes; they count only with `Ok`.
+/// Reads publication `n`: its first words, then as many of its bytes as `data` takes; they count only with
+/// `Ok`.
 #[inline]
 pub(crate) fn read<const H: usize>(
     row: &[AtomicU64],

@@ -1,4 +1,4 @@
-//! The state table: a ring of rows, published once per step by the component, read by anybody at any time.
+//! The state table: a ring of rows, published once per step by the component, read by any thread at any time.
 //!
 //! The writer never waits for a reader. A reader gets a whole row or the reason why not, never a torn one:
 //! publication `n` lies in row `n % rows` under the sequence of [`crate::seq`].
@@ -15,13 +15,13 @@ const HEAD: usize = 2;
 
 /// Attempts of `latest` before it gives up: each lost one means that the writer went round the whole ring.
 const ATTEMPTS: usize = 1000;
-/// The same where another process may go round the ring for no reason but to keep a reader.
+/// The same where another process may go round the ring only to keep a reader busy.
 const FAR_ATTEMPTS: usize = 16;
 
-/// Which row was read.
+/// Identity of the row that was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RowInfo {
-    /// When the step was, ns of the monotonic clock.
+    /// Time of the step, ns of the monotonic clock.
     pub stamp_ns: u64,
     /// Number of the step as its executor counts.
     pub tick: u64,
@@ -34,23 +34,23 @@ pub struct RowInfo {
 pub enum Miss {
     /// Nothing was published yet.
     Empty,
-    /// It was there and has been overwritten.
+    /// The row was there and has been overwritten.
     Lapped,
-    /// It lies in the future.
+    /// The row lies in the future.
     NotYet,
     /// The kept rows go around it: that tick was never published.
     Missing,
 }
 
-/// Two whole rows around a time, to interpolate between: `before + fraction * (after - before)`, field by field
-/// as the field's type allows.
+/// Two whole rows around a time, to interpolate between: `before + fraction * (after - before)`, field by
+/// field as the field's type allows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Around {
     /// The last row at or before the time.
     pub before: RowInfo,
     /// The first row at or after the time; the same one when a row has exactly this stamp.
     pub after: RowInfo,
-    /// Where the time lies between the two stamps, from 0 (before) to less than 1.
+    /// Place of the time between the two stamps, from 0 (before) to less than 1.
     pub fraction: f64,
 }
 
@@ -59,7 +59,7 @@ struct Table {
     published: Place<Padded<AtomicU64>>,
     row_bytes: usize,
     rows: u64,
-    /// Of the publication's number, where the rows are a power of two; else 0.
+    /// Mask of the publication's number, where the rows are a power of two; else 0.
     mask: u64,
     stride: usize,
 }
@@ -83,7 +83,8 @@ pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) 
     (StateWriter::new(Arc::clone(&table)), StateReader { table, attempts: ATTEMPTS })
 }
 
-/// The writer of a table whose readers are in another process; the parts are what [`far_state_reader`] lays out.
+/// Makes the writer of a table whose readers are in another process; the parts are what [`far_state_reader`]
+/// lays out.
 ///
 /// # Panics
 /// As [`state_table`].
@@ -91,8 +92,8 @@ pub fn far_state_writer(layout: &mut Layout, row_bytes: usize, rows: usize) -> S
     StateWriter::new(Table::lay_out(layout, row_bytes, rows))
 }
 
-/// The reader of a table whose writer is in another process. What it reads is whole, if that process keeps to the rules, and bytes in
-/// any case.
+/// Makes the reader of a table whose writer is in another process. It reads whole rows, if that process keeps
+/// to the rules, and bytes in any case.
 ///
 /// # Panics
 /// As [`state_table`].
@@ -141,8 +142,8 @@ impl StateWriter {
         RowInfo { stamp_ns, tick, row: n }
     }
 
-    /// As [`StateWriter::publish`], where stamp and tick are known only after the row: `fill` answers them, or `None` where there is
-    /// nothing to publish.
+    /// As [`StateWriter::publish`], where stamp and tick are known only after the row: `fill` returns them,
+    /// or `None` where there is nothing to publish.
     #[inline]
     pub fn publish_with(&mut self, fill: impl FnOnce(&mut [u8]) -> Option<(u64, u64)>) {
         let row_bytes = self.table.row_bytes;
@@ -168,7 +169,7 @@ impl StateWriter {
 #[derive(Clone)]
 pub struct StateReader {
     table: Arc<Table>,
-    /// Of `latest`.
+    /// Attempts of `latest`.
     attempts: usize,
 }
 
@@ -177,12 +178,12 @@ impl StateReader {
         self.table.row_bytes
     }
 
-    /// How many rows are kept.
+    /// Returns the number of rows kept.
     pub fn rows(&self) -> u64 {
         self.table.rows
     }
 
-    /// How many rows were ever published.
+    /// Returns the number of rows ever published.
     #[inline]
     pub fn published(&self) -> u64 {
         self.table.published.0.load(Ordering::Acquire)
@@ -196,7 +197,7 @@ impl StateReader {
         self.read(newest, out).ok().or_else(|| self.latest_again(out))
     }
 
-    /// The writer was faster than the first attempt.
+    /// Tries again: the writer was faster than the first attempt.
     #[cold]
     fn latest_again(&self, out: &mut [u8]) -> Option<RowInfo> {
         for _ in 1..self.attempts {
@@ -237,7 +238,7 @@ impl StateReader {
         if info.tick == tick {
             return Ok(info);
         }
-        // Only while the row before can still be read does anybody know that the tick lies between the two.
+        // The tick is known to lie between two rows only while the row before can still be read.
         self.info(n.checked_sub(1).ok_or(Miss::Missing)?)?;
         Err(Miss::Missing)
     }
@@ -257,15 +258,15 @@ impl StateReader {
         if after == 0 || next.stamp_ns == stamp_ns {
             return self.read(after, out);
         }
-        // The row before may have been overwritten: then nobody knows any more whether it was nearer.
+        // The row before may have been overwritten: then it cannot be known whether it was nearer.
         let before = self.info(after - 1)?;
         let nearer_before = stamp_ns - before.stamp_ns <= next.stamp_ns - stamp_ns;
         self.read(if nearer_before { after - 1 } else { after }, out)
     }
 
-    /// The rows before and after a time, for a value in between: compare [`StateReader::at_time`]. Stamps must not
-    /// decrease from row to row. A time after the newest row is `NotYet`; one before all kept rows is `Lapped`
-    /// once rows have been overwritten, else `Missing`.
+    /// The rows before and after a time, for a value in between: compare [`StateReader::at_time`]. Stamps
+    /// must not decrease from row to row. A time after the newest row is `NotYet`; one before all kept rows
+    /// is `Lapped` once rows have been overwritten, else `Missing`.
     pub fn around(&self, stamp_ns: u64, before: &mut [u8], after: &mut [u8]) -> Result<Around, Miss> {
         let published = self.published();
         if published == 0 {
@@ -286,9 +287,10 @@ impl StateReader {
         Ok(Around { before: last, after: next, fraction })
     }
 
-    /// Gives every row from `cursor` on to `sink`, in order, through `scratch`, and moves the cursor on; how
-    /// many rows were overwritten before they could be read. Start with a cursor of 0 (all kept rows; those
-    /// already gone count as lost) or of `published()` (from now on). Ends at the row that was newest at entry.
+    /// Gives every row from `cursor` on to `sink`, in order, through `scratch`, and moves the cursor on;
+    /// returns how many rows were overwritten before they could be read. Start with a cursor of 0 (all kept
+    /// rows; those already gone count as lost) or of `published()` (from now on). Ends at the row that was
+    /// newest at entry.
     ///
     /// # Panics
     /// When `scratch` is shorter than a row.

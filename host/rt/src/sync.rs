@@ -1,4 +1,5 @@
-//! The atomics, the cell and the futex every algorithm here is written over: std's, or loom's under `cfg(loom)`.
+//! The atomics, the cell and the futex every algorithm here is written over: std's, or loom's under
+//! `cfg(loom)`.
 //!
 //! No algorithm may name `std::sync::atomic` itself, or loom would not see its steps; and none may use a
 //! fence, which ThreadSanitizer misjudges.
@@ -29,7 +30,7 @@ pub(crate) fn spawn(run: impl FnOnce() + Send + 'static) -> std::io::Result<Join
     Ok(loom::thread::spawn(run))
 }
 
-/// Spins while `busy`, for `ns` at most: for what is nearly always over before a sleep would have begun.
+/// Spins while `busy`, for `ns` at most: for work that is nearly always over before a sleep would have begun.
 #[cfg(not(loom))]
 pub(crate) fn pause_while(ns: u64, busy: impl Fn() -> bool) {
     let end = crate::os::now_ns() + ns;
@@ -42,13 +43,13 @@ pub(crate) fn pause_while(ns: u64, busy: impl Fn() -> bool) {
 #[cfg(loom)]
 pub(crate) fn pause_while(_ns: u64, _busy: impl Fn() -> bool) {}
 
-/// Sleeps for `ns`: for what takes longer than that only when its thread was suspended.
+/// Sleeps for `ns`: for work that takes longer than that only when its thread was suspended.
 #[cfg(not(loom))]
 pub(crate) fn rest(ns: u64) {
     crate::os::sleep_until(crate::os::now_ns() + ns);
 }
 
-/// To loom a sleep is that the others go on.
+/// To loom, a sleep lets the other threads go on.
 #[cfg(loom)]
 pub(crate) fn rest(_ns: u64) {
     loom::thread::yield_now();
@@ -74,14 +75,15 @@ impl<T> Shared<T> {
         self.0.get()
     }
 
-    /// The address, for one of several readers while nobody holds the exclusive right.
+    /// Returns the address, for one of several readers while no thread holds the exclusive right.
     pub(crate) fn readable(&self) -> *const T {
         self.0.get()
     }
 }
 
 impl<T: Copy> Shared<T> {
-    /// The value as it was at one look: where another process writes it at any time, what is checked of the answer is what is used.
+    /// Returns the value as it was at one look: where another process writes it at any time, the checked
+    /// value is the used one.
     ///
     /// # Safety
     /// The caller has the right to read, and `T` is a value for any bits where another process can write it.
@@ -113,12 +115,12 @@ impl<T> Shared<T> {
     }
 }
 
-/// Who sleeps on a word and who wakes them.
+/// Processes whose threads sleep on a word and wake each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// Threads of this process.
     Process,
-    /// Those of other processes, too.
+    /// Threads of other processes, too.
     Machine,
 }
 

@@ -1,7 +1,7 @@
 //! A team of threads that share the slices of one piece of work: fork and join inside a step.
 //!
-//! A slice is handed out by taking one off `open`, and the job's content is read only by who has taken one: so
-//! the content stays while anybody is inside, and a helper that comes late takes nothing and touches nothing.
+//! A thread takes a slice off `open`, and only a thread with a slice reads the job's content: so the content
+//! stays while a thread is inside, and a helper that comes late takes nothing and touches nothing.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,13 +10,13 @@ use std::sync::Arc;
 use crate::sync::{AtomicBool, AtomicU32, JoinHandle, Ordering, Padded, Shared, pause_while, spawn};
 use crate::wake::Waker;
 
-/// What [`Team::run`] answers for a slice that panicked: the plugin interface's STATUS_PANICKED.
+/// Result of [`Team::run`] for a slice that panicked: the plugin interface's STATUS_PANICKED.
 pub const PANICKED: i32 = -2;
 
 /// The most threads a team has.
 pub const MAX_THREADS: usize = 256;
 
-/// How long an idle thread looks for work, or for the end of it, before it sleeps.
+/// Time an idle thread looks for work, or for the end of it, before it sleeps.
 const SPIN_NS: u64 = 4_000;
 
 type Body<'a> = dyn Fn(u32) -> i32 + Sync + 'a;
@@ -27,7 +27,7 @@ pub struct Team {
     helpers: Vec<JoinHandle<()>>,
 }
 
-/// What the threads of a team share.
+/// State the threads of a team share.
 struct Desk {
     /// Slices of the current job that nobody has taken.
     open: Padded<AtomicU32>,
@@ -48,12 +48,12 @@ struct Desk {
 #[derive(Clone, Copy)]
 struct Job {
     slices: u32,
-    /// Borrowed by `run`, which does not return while anybody may call it.
+    /// Borrowed by `run`, which does not return while a thread may call it.
     body: *const Body<'static>,
 }
 
-// SAFETY: `job` is written by the owner while no slice is open or pending, and read by holders of a slice, whose
-// taking follows the owner's opening; the body behind it may be called from any thread.
+// SAFETY: `job` is written by the owner while no slice is open or pending, and read by holders of a slice,
+// whose taking follows the owner's opening; the body behind it may be called from any thread.
 unsafe impl Send for Desk {}
 // SAFETY: as above.
 unsafe impl Sync for Desk {}
@@ -94,16 +94,16 @@ impl Team {
         Ok(team)
     }
 
-    /// How many threads work together, the caller's included.
+    /// Returns the number of threads that work together, the caller's included.
     pub fn threads(&self) -> usize {
         self.helpers.len() + 1
     }
 
     /// Runs `body` once for each number below `slices`, on any of the threads, and returns when all are done:
-    /// the negative status that came first, else 0. A slice that panics counts as [`PANICKED`], and the others
-    /// run all the same. No allocation, no lock; a futex wake for each helper that sleeps, and a sleep when
-    /// the helpers are not done yet. Called again from inside `body`, or by another thread at the same time,
-    /// it runs all slices in the calling thread.
+    /// the negative status that came first, else 0. A slice that panics counts as [`PANICKED`], and the
+    /// others run all the same. No allocation, no lock; a futex wake for each helper that sleeps, and a sleep
+    /// when the helpers are not done yet. Called again from inside `body`, or by another thread at the same
+    /// time, it runs all slices in the calling thread.
     pub fn run(&self, slices: u32, body: &Body<'_>) -> i32 {
         if slices == 0 {
             return 0;
@@ -124,14 +124,14 @@ impl Drop for Team {
             call.notify();
         });
         for helper in self.helpers.drain(..) {
-            // A helper that panicked (in `setup`) has nothing more to say here.
+            // A helper that panicked (in `setup`) has nothing more to tell here.
             let _ = helper.join();
         }
     }
 }
 
 impl Desk {
-    /// The owner's way through one job.
+    /// Leads the owner through one job.
     fn share(&self, slices: u32, body: &Body<'_>) -> i32 {
         // SAFETY: only the lifetime changes; nobody calls the body once nothing is pending, which this
         // function waits for and nothing in it can unwind past.
@@ -140,7 +140,7 @@ impl Desk {
         unsafe { *self.job.exclusive() = Some(Job { slices, body }) };
         self.failed.store(0, Ordering::Relaxed);
         self.pending.0.store(slices, Ordering::Relaxed);
-        // Release: whoever takes a slice sees the job.
+        // Release: a thread that takes a slice sees the job.
         self.open.0.store(slices, Ordering::Release);
         self.calls.iter().take(slices as usize - 1).for_each(|call| {
             call.notify();
@@ -165,7 +165,7 @@ impl Desk {
         }
     }
 
-    /// Takes and runs slices until none is open; whether this thread did the job's last one.
+    /// Takes and runs slices until none is open; returns whether this thread did the job's last one.
     fn work(&self) -> bool {
         let mut last = false;
         while let Some(open) = self.take() {
@@ -184,7 +184,7 @@ impl Desk {
         last
     }
 
-    /// Takes a slice: how many were open. Each turn that fails means that another thread took one.
+    /// Takes a slice; returns how many were open. Each turn that fails means that another thread took one.
     fn take(&self) -> Option<u32> {
         let mut open = self.open.0.load(Ordering::Relaxed);
         while open != 0 {

@@ -1,16 +1,16 @@
 //! The threads of this process as the kernel lists them.
 //!
-//! Invariant: a thread is told by its number and when it began: numbers are given again.
+//! Invariant: a thread is identified by its number and its begin: numbers are given again.
 
 use std::collections::BTreeSet;
 use std::fs;
 
-/// The list is read so often at most after the first time.
+/// Most times the list is read after the first time.
 const LISTS: usize = 16;
 
-/// Threads of this process, by kernel id. The kernel counts its way through them, so that its list leaves one
-/// out for each that ends before the reader's place meanwhile; then the next list lacks that one, so that two
-/// that are the same are whole.
+/// Lists the threads of this process, by kernel id. The kernel counts its way through them, so its list
+/// leaves one out for each that ends before the reader's place meanwhile. The next list lacks that one, so
+/// two lists that are the same are whole.
 pub fn list() -> BTreeSet<i32> {
     let listed = || -> BTreeSet<i32> {
         let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
@@ -26,13 +26,13 @@ pub fn list() -> BTreeSet<i32> {
         all.extend(&next);
         last = next;
     }
-    // Too many come and go: rather one that has ended too many, whose name is empty, than one that runs too
-    // few.
+    // Too many threads come and go: better one ended thread too many, whose name is empty, than one running
+    // thread too few.
     all
 }
 
-/// When a thread of this process began, ticks since boot, so that a number given again can be told apart; 0
-/// when it is gone.
+/// Returns the time a thread of this process began, ticks since boot, so that a number given again can be
+/// told apart; 0 when it is gone.
 pub fn began(tid: i32) -> u64 {
     let text = word(tid, "stat");
     // The name before the last parenthesis may hold anything; the 20th word after it is the time.
@@ -40,7 +40,7 @@ pub fn began(tid: i32) -> u64 {
     after.split_ascii_whitespace().nth(19).and_then(|word| word.parse().ok()).unwrap_or(0)
 }
 
-/// Name of a thread of this process; empty when it is gone.
+/// Returns the name of a thread of this process; empty when it is gone.
 pub fn name(tid: i32) -> String {
     word(tid, "comm").trim_end().to_owned()
 }

@@ -1,8 +1,9 @@
 //! Turns: stretches of a thread in which it looks at bindings without counting itself in.
 //!
-//! A thread that takes turns has a seat whose word is odd during a turn. A manager that has replaced a value reads every
-//! seat by a read-modify-write: either it finds the turn and keeps the value until that turn has ended, or the turn begins
-//! after it in the word's order, and so sees the new value. Nobody waits for anybody.
+//! A thread that takes turns has a seat whose word is odd during a turn. A manager that has replaced a value
+//! reads every seat by a read-modify-write: either it finds the turn and keeps the value until that turn has
+//! ended, or the turn begins after it in the word's order, and so sees the new value. No thread waits for
+//! another.
 
 use std::cell::Cell;
 use std::sync::Arc;
@@ -21,13 +22,14 @@ pub(crate) struct Watched(Vec<(Arc<Seat>, u64)>);
 
 impl Seat {
     fn begin(&self) {
-        // Acquire: sees what managers replaced before they looked at this seat; Release: part of the word's chain.
+        // Acquire: sees what managers replaced before they looked at this seat; Release: part of the word's
+        // chain.
         self.0.0.fetch_add(1, Ordering::AcqRel);
     }
 
     fn end(&self) {
-        // Release: a manager that sees the end comes after every look of this turn. Managers only add 0, so nothing is
-        // lost between the load and the store.
+        // Release: a manager that sees the end comes after every look of this turn. Managers only add 0, so
+        // nothing is lost between the load and the store.
         self.0.0.fetch_add(1, Ordering::Release);
     }
 }
@@ -55,7 +57,7 @@ impl Seats {
         seats.retain(|s| !Arc::ptr_eq(s, seat));
     }
 
-    /// The turns under way now. Managers only, after the replacing.
+    /// Returns the turns under way now. Managers only, after the value was replaced.
     pub(crate) fn under_way(&self) -> Watched {
         let seats = self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let mut watched = Vec::new();
@@ -70,7 +72,7 @@ impl Seats {
 }
 
 impl Watched {
-    /// Whether every one of them has ended.
+    /// Tells whether every one of them has ended.
     pub(crate) fn are_over(&self) -> bool {
         self.0.iter().all(|(seat, word)| seat.0.0.load(Ordering::Acquire) != *word)
     }
@@ -115,9 +117,9 @@ thread_local! {
     static SEAT: Mine = Mine(SEATS.take());
 }
 
-/// Runs `f` as one turn of this thread, or as part of the turn it is in. The first turn of a thread allocates its seat
-/// and takes a mutex; later ones are two atomic operations. A value replaced during a turn is not dropped before its end,
-/// so turns end soon: one cycle of an executor.
+/// Runs `f` as one turn of this thread, or as part of the turn it is in. The first turn of a thread allocates
+/// its seat and takes a mutex; later ones are two atomic operations. A value replaced during a turn is not
+/// dropped before its end, so turns end soon: one cycle of an executor.
 #[cfg(not(loom))]
 pub fn run<R>(f: impl FnOnce() -> R) -> R {
     struct Out;
@@ -132,13 +134,13 @@ pub fn run<R>(f: impl FnOnce() -> R) -> R {
     SEAT.with(|mine| {
         let _turn = Turn::begin(&mine.0);
         IN_TURN.set(true);
-        // Dropped before the turn is, also by a panic.
+        // Dropped before the turn, also by a panic.
         let _out = Out;
         f()
     })
 }
 
-/// Whether this thread is in a turn.
+/// Tells whether this thread is in a turn.
 #[inline]
 pub fn is_inside() -> bool {
     IN_TURN.get()
@@ -256,7 +258,8 @@ mod models {
             let reader = loom::thread::spawn(move || {
                 for _ in 0..2 {
                     let turn = Turn::begin(&seat);
-                    // SAFETY: the turn is known to `seats`, which is asked at each swap, and lasts until it is dropped below.
+                    // SAFETY: the turn is known to `seats`, which is asked at each swap, and lasts until it
+                    // is dropped below.
                     let n = unsafe { theirs.look_in_turn(|t| t.number()) };
                     assert!(n == 1 || n == 2);
                     drop(turn);

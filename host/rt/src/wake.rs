@@ -1,4 +1,4 @@
-//! How one sleeping executor is woken by many: a latched notification over a futex.
+//! Wakes one sleeping executor from many threads: a latched notification over a futex.
 //!
 //! A notification is never lost: whatever a notifier wrote before `notify` is seen by the owner after the
 //! `wait` or `take` that consumed it. The system call is made only when the owner really sleeps.
@@ -30,7 +30,8 @@ impl Waker {
         Layout::on_heap(Self::lay_out)
     }
 
-    /// A bell between two processes: one of them notifies, an executor of the other one looks at it and sleeps on it.
+    /// A bell between two processes: one of them notifies, an executor of the other one looks at it and
+    /// sleeps on it.
     pub fn lay_out(layout: &mut Layout) -> Self {
         Self { state: layout.place(|| Futex::new(EMPTY)), scope: layout.scope() }
     }
@@ -46,7 +47,7 @@ impl Waker {
         asleep
     }
 
-    /// Consumes a notification without waiting: whether there was one. Owner only.
+    /// Consumes a notification without waiting; returns whether there was one. Owner only.
     pub fn take(&self) -> bool {
         let word = &self.state.word;
         word.compare_exchange(NOTIFIED, EMPTY, Ordering::Acquire, Ordering::Relaxed).is_ok()
@@ -75,16 +76,16 @@ impl Waker {
         }
     }
 
-    /// About to sleep on it; false: it was notified, which stays to be taken.
+    /// Marks the word for a sleep; returns false when a notification came, which stays to be taken.
     fn lie_down(&self) -> bool {
         let word = &self.state.word;
         word.compare_exchange(EMPTY, ASLEEP, Ordering::Relaxed, Ordering::Relaxed) != Err(NOTIFIED)
     }
 
-    /// Up again; a notification stays to be taken.
+    /// Takes the mark for a sleep off; a notification stays to be taken.
     fn get_up(&self) {
         let word = &self.state.word;
-        // Whatever else another process wrote there is no notification.
+        // Any other value that another process wrote there is no notification.
         let now = word.load(Ordering::Relaxed);
         if now != NOTIFIED {
             let _ = word.compare_exchange(now, EMPTY, Ordering::Relaxed, Ordering::Relaxed);
@@ -95,9 +96,10 @@ impl Waker {
 /// Bells one sleeper can have beside its own waker.
 pub const MOST_BELLS: usize = crate::os::MOST_WORDS - 1;
 
-/// Sleeps until `own` was notified (`true`, consumed), or until one of `bells` was (`true`, left to be taken), or until the
-/// absolute monotonic deadline in ns (`false`). For the owner of all of them; at most [`MOST_BELLS`]. Where the kernel cannot sleep on
-/// several words (before Linux 5.16, or a sandbox without that call) bells are heard within a millisecond, the rest as ever.
+/// Sleeps until `own` was notified (`true`, consumed), or until one of `bells` was (`true`, left to be
+/// taken), or until the absolute monotonic deadline in ns (`false`). For the owner of all of them; at most
+/// [`MOST_BELLS`]. Where the kernel cannot sleep on several words (before Linux 5.16, or a sandbox without
+/// that call) bells are heard within a millisecond, the rest as ever.
 pub fn wait_any(own: &Waker, bells: &[Arc<Waker>], deadline_ns: Option<u64>) -> bool {
     if bells.is_empty() {
         return own.wait(deadline_ns);
@@ -151,7 +153,7 @@ fn wait_on(own: &Waker, bells: &[Arc<Waker>], deadline_ns: Option<u64>) -> WaitR
     WaitResult::Woken
 }
 
-/// How many wakes one step can collect before further ones are issued at once.
+/// Most wakes one step can collect before further ones are issued at once.
 pub const WAKE_LIST_CAPACITY: usize = 64;
 
 /// The wakes collected during a step and issued after it, so that no system call falls into the step.
@@ -188,7 +190,7 @@ impl WakeList {
         }
     }
 
-    /// Notifies every collected waker in the order they were noted; how many.
+    /// Notifies every collected waker in the order they were noted; returns how many.
     pub fn flush(&mut self) -> usize {
         let collected = std::mem::take(&mut self.len);
         for waker in self.wakers[..collected].iter_mut().filter_map(Option::take) {
@@ -197,7 +199,7 @@ impl WakeList {
         collected
     }
 
-    /// How many wakers are collected.
+    /// Returns the number of wakers collected.
     pub fn len(&self) -> usize {
         self.len
     }

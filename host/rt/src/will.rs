@@ -1,8 +1,8 @@
-//! Words of a thread that the kernel marks when the thread ends, by whatever signal: long before the memory of its process is taken
-//! apart and its files are closed.
+//! Words of a thread that the kernel marks when the thread ends, by whatever signal: long before the memory
+//! of its process is taken apart and its files are closed.
 //!
-//! Invariant: the kernel's list of these words leads through this process's own memory only, and is whole between any two instructions;
-//! of shared memory the kernel and this file touch nothing but the words.
+//! Invariant: the kernel's list of these words leads through this process's own memory only, and is whole
+//! between any two instructions; in shared memory the kernel and this file touch only the words.
 
 use std::ffi::{c_int, c_long, c_void};
 use std::io;
@@ -20,35 +20,35 @@ struct Entry {
     next: AtomicPtr<Entry>,
 }
 
-/// Where the kernel begins to read, and how far behind each entry its word is.
+/// Start of the kernel's list, and the distance from each entry to its word.
 #[repr(C)]
 struct Head {
     first: Entry,
     word_offset: c_long,
-    /// Of a lock that is being taken: there are none here.
+    /// Entry of a lock that is being taken: there are none here.
     pending: *mut Entry,
 }
 
-/// Two pages side by side: an own one with the entry, behind it the shared one with the word, so that a distance leads from the one
-/// to the other and nothing the other process can write.
+/// Two pages side by side: an own one with the entry, behind it the shared one with the word. So a distance
+/// leads from the one to the other, and nothing the other process can write does.
 struct Pages {
     start: NonNull<u8>,
     page: usize,
-    /// Of the word in the second page, B.
+    /// Offset of the word in the second page, B.
     offset: usize,
-    /// Tells whose they are.
+    /// Region of the shared page; it identifies these pages.
     of: Arc<Region>,
 }
 
-/// What the calling thread leaves behind.
+/// Words the calling thread leaves behind.
 pub struct Will {
     head: NonNull<Head>,
-    /// The list of this thread before: that of the C library.
+    /// List of this thread before: that of the C library.
     before: (*mut c_void, usize),
     /// In the order they were added; the kernel's list has the last one first.
     words: Vec<Pages>,
     page: usize,
-    /// What is written into a word.
+    /// Value written into a word.
     owned: u32,
 }
 
@@ -61,11 +61,11 @@ fn check(rc: c_long, asked: &str) -> io::Result<()> {
 }
 
 impl Will {
-    /// Nothing so far. It stays on the thread that made it.
+    /// Makes an empty will. It stays on the thread that made it.
     ///
     /// # Errors
-    /// The kernel has no such lists, or this thread holds robust mutexes of the C library, which would be forgotten: it is to take none
-    /// as long as this lives.
+    /// The kernel has no such lists, or this thread holds robust mutexes of the C library, which would be
+    /// forgotten: it is to take none as long as this lives.
     pub fn of_this_thread() -> io::Result<Will> {
         let (mut head, mut bytes) = (null_mut::<c_void>(), 0usize);
         // SAFETY: 0 is the calling thread; both are valid places for the answers.
@@ -73,7 +73,8 @@ impl Will {
             unsafe { libc::syscall(libc::SYS_get_robust_list, 0 as c_int, &raw mut head, &raw mut bytes) };
         check(rc, "ask for this thread's list of robust futexes")?;
         if !head.is_null() {
-            // SAFETY: the list the C library registered for this very thread, which nobody else changes; empty it leads to itself.
+            // SAFETY: the list the C library registered for this very thread, which nobody else changes;
+            // empty it leads to itself.
             let first = unsafe { &*head.cast::<Head>() }.first.next.load(Ordering::Relaxed);
             if first.cast() != head {
                 return Err(io::Error::other("this thread holds robust mutexes"));
@@ -91,7 +92,8 @@ impl Will {
         let own = NonNull::from(Box::leak(own));
         let will = Will { head: own, before: (head, bytes), words: Vec::new(), page, owned };
         will.first().next.store(own.as_ptr().cast(), Ordering::Relaxed);
-        // SAFETY: the head stays where it is until `drop` has registered the one before, on this same thread: a will cannot be sent.
+        // SAFETY: the head stays where it is until `drop` has registered the one before, on this same thread:
+        // a will cannot be sent.
         let rc = unsafe { libc::syscall(libc::SYS_set_robust_list, own.as_ptr(), size_of::<Head>()) };
         check(rc, "have the kernel mark words at the end of this thread")?;
         Ok(will)
@@ -102,7 +104,7 @@ impl Will {
         &unsafe { self.head.as_ref() }.first
     }
 
-    /// From now on the other end of this page is told when this thread ends.
+    /// Adds a page: its other end is told when this thread ends.
     ///
     /// # Errors
     /// The machine gives no more memory, or it is no page that two processes share.
@@ -118,7 +120,7 @@ impl Will {
         Ok(())
     }
 
-    /// The other end of this page is told nothing any more.
+    /// Takes a page back: its other end is told nothing any more.
     pub fn remove(&mut self, pulse: &Pulse) {
         let Some(at) = self.words.iter().position(|pages| pulse.is_in(&pages.of)) else { return };
         let before = self.words.get(at + 1).map_or(self.first(), Pages::entry);
@@ -133,7 +135,7 @@ impl Drop for Will {
         let (head, bytes) = self.before;
         // SAFETY: what the C library had registered for this thread, which still runs; null is no list.
         if unsafe { libc::syscall(libc::SYS_set_robust_list, head, bytes) } != 0 {
-            // Never seen; the kernel then still goes by this list, which stays.
+            // Never seen; the kernel then still uses this list, so it stays.
             std::mem::take(&mut self.words).leak();
             return;
         }
@@ -180,7 +182,8 @@ impl Pages {
     }
 
     fn word(&self) -> &AtomicU32 {
-        // SAFETY: a word inside the second page, as far behind the entry as the head says; any bits are a value.
+        // SAFETY: a word inside the second page, as far behind the entry as the head says; any bits are a
+        // value.
         unsafe { self.start.byte_add(self.page + self.offset).cast().as_ref() }
     }
 }

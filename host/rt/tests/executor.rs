@@ -9,12 +9,13 @@ use trocar_rt::executor::{Clock, Cycle, Pace, Pacer};
 use trocar_rt::now_ns;
 use trocar_rt::wake::Waker;
 
-/// A clock that is moved by hand: a sleep ends at its deadline, plus how late the machine is, or at a wake.
+/// A clock that is moved by hand: a sleep ends at its deadline, plus the lateness of the machine, or at a
+/// wake.
 #[derive(Default)]
 struct ManualClock {
     now_ns: Cell<u64>,
     late_ns: Cell<u64>,
-    /// How long after falling asleep the next wakes come, ns, last first.
+    /// Delays of the next wakes after falling asleep, ns, last first.
     wakes: RefCell<Vec<u64>>,
     sleeps: Cell<u64>,
 }

@@ -1,4 +1,5 @@
-//! The two ends of a link as two processes have them: each lays its parts out in a mapping of its own of the same memory.
+//! The two ends of a link as two processes have them: each lays its parts out in a mapping of its own of the
+//! same memory.
 #![allow(clippy::unwrap_used)]
 
 mod parts;
@@ -18,7 +19,7 @@ use trocar_rt::wake::{self, Waker};
 
 use parts::{FIFO, KEEPS_OLD, QUEUES, reading, writing};
 
-/// Both ends of what `parts` lays out.
+/// Returns both ends of the parts that are laid out.
 fn both<A, B>(first: impl Fn(&mut Layout) -> A, second: impl Fn(&mut Layout) -> B) -> (A, B) {
     let (here, there) = regions(&first);
     (first(&mut Layout::fresh(&here)), second(&mut Layout::of_other_end(&there)))
@@ -266,8 +267,8 @@ fn commands_and_their_answers_pass_between_two_mappings() {
     served.join().unwrap();
 }
 
-/// Another process may write anything anywhere in the memory of a link: whatever it is, nothing is read or written outside, and
-/// no call goes on for ever.
+/// Another process may write anything anywhere in the memory of a link: nothing is read or written outside,
+/// and no call goes on for ever.
 #[test]
 fn no_bits_in_the_memory_of_a_link_crash_or_hang_an_end() {
     let mut random = 0x9e37_79b9_7f4a_7c15u64;

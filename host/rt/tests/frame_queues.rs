@@ -1,4 +1,5 @@
-//! Frames that wait in queues leave slots of their pool free: who makes frames never waits for who does not take them.
+//! Frames that wait in queues leave slots of their pool free: a maker of frames never waits for a reader that
+//! does not take them.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::{BTreeSet, VecDeque};
@@ -73,7 +74,7 @@ fn a_queue_that_keeps_its_oldest_refuses_frames_while_another_reader_gets_them_a
             let _ = push(&writer, &made, seq);
             assert_eq!(push(&trunk, &made, seq), Pushed::Queued);
             drop(made);
-            // It keeps this frame in its hands while the next one is made.
+            // The screen keeps this frame in its hands while the next one is made.
             assert_eq!(next(&mut screen), Some(seq));
         }
         let kept = rest(&mut reader);
@@ -185,7 +186,7 @@ fn a_queue_under_load_gives_up_frames_exactly() {
     }
 }
 
-/// A link as one would describe it: what waits, and what the reader holds.
+/// A link as its description says: samples that wait, and the one the reader holds.
 struct Model {
     depth: usize,
     /// `None` for a latest link.

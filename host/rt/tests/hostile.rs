@@ -1,5 +1,5 @@
-//! A process at the other end that means ill: words that change under every look, frames that never come back, bells that lie, and a
-//! machine that has nothing to give.
+//! A process at the other end that is hostile: words that change under every look, frames that never come
+//! back, bells that lie, and a machine that has nothing to give.
 #![allow(clippy::unwrap_used)]
 
 mod parts;
@@ -67,7 +67,8 @@ fn tell(pool: &Arc<FramePool>, pools: &FarPools, views: &FarViews) {
     assert_eq!(pools.place_of(file.number()), Some(0));
 }
 
-/// The two ends and a third hand that writes all the time: every call comes back, and what somebody looks at stays as it is.
+/// The two ends and a third hand that writes all the time: every call comes back, and a sample in sight stays
+/// as it is.
 #[test]
 fn words_that_change_under_every_look_crash_and_hang_nobody() {
     for (round, queue) in QUEUES.into_iter().cycle().take(9).enumerate() {
@@ -84,7 +85,7 @@ fn words_that_change_under_every_look_crash_and_hang_nobody() {
             lay_other(&mut Layout::of_other_end(&there));
         let hostile = again(&here, bytes);
         let words = Layout::words(&hostile, bytes / 8);
-        // Of the pool too: its maker may write it while it is read.
+        // The words of the pool, too: its maker may write it while it is read.
         let file = pool.file().unwrap();
         let over = AtomicBool::new(false);
         thread::scope(|scope| {
@@ -201,7 +202,7 @@ fn frames_between(queue: Queue) -> (Arc<FramePool>, StreamWriter, StreamReader) 
     (pool, writer, reader)
 }
 
-/// Whoever takes frames and gives none back has its share of the pool, and the others have theirs.
+/// A reader that takes frames and gives none back has its share of the pool, and the others have theirs.
 #[test]
 fn a_reader_that_gives_no_frame_back_leaves_the_pool_to_the_others() {
     for queue in QUEUES {
@@ -261,7 +262,7 @@ fn a_server_that_answers_what_nobody_asked_is_no_answer() {
     assert_eq!(text_bytes, 16, "a text is as long as its room at most");
 }
 
-/// A number of this process's, so that the filter can be tried on a thread of its own.
+/// Refuses the call of this number with this errno, by a filter on the calling thread alone.
 fn without_the_call(number: i64, errno: i32) {
     let code = [
         // The number of the call.

@@ -80,7 +80,7 @@ fn locking_memory_is_refused_where_it_would_break_later_threads() {
             assert_eq!(locked_kib(), before, "refused");
         }
     }
-    // Whatever the answer was, threads can still be made and memory mapped.
+    // Threads can still be made and memory mapped, whatever the answer was.
     std::thread::spawn(|| vec![1u8; 16 << 20].len()).join().unwrap();
 }
 

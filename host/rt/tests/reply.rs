@@ -180,7 +180,7 @@ fn whoever_waits_is_answered_when_the_server_is_gone() {
     for ticket in [waiting, begun] {
         assert_eq!(ticket.wait(u64::MAX, |_, _| ()), Reply::Done(-7));
     }
-    // Should whoever was at it still answer, it is too late, and its cell is nobody else's by now.
+    // An answer of the first server comes too late, and its cell is no other call's by now.
     running.into_iter().for_each(|running| running.finish(3, |_, _| 0));
     let fresh = pool.acquire().unwrap();
     let last = [pool.acquire(), pool.acquire()];

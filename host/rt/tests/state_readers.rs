@@ -1,5 +1,5 @@
-//! Readers of a state table that are lapped while they read, and those that ask for a time: nothing is lost without being
-//! counted, and no answer is another row's.
+//! Readers of a state table that are lapped while they read, and readers that ask for a time: every lost row
+//! is counted, and no answer is another row's.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
@@ -67,7 +67,7 @@ proptest! {
     fn what_a_collector_sees_and_what_it_lost_are_all_rows_whenever_it_is_lapped(
         rows in 3..7usize,
         before in 0..12u64,
-        // How many rows are published while each row is looked at, batch by batch.
+        // Number of rows published while each row is looked at, batch by batch.
         meanwhile in prop::collection::vec(prop::collection::vec(0..9u64, 0..8), 1..8),
     ) {
         let (mut writer, reader) = state_table(2, rows);
@@ -106,7 +106,7 @@ proptest! {
                 prop_assert!(stamps.iter().all(|stamp| stamp.abs_diff(at) >= distance), "{:?} of {:?}", info, stamps);
             }
             Err(Miss::Empty) => prop_assert!(stamps.is_empty()),
-            // It may have been nearer: nobody knows any more.
+            // The lost rows may have been nearer; that cannot be known any more.
             Err(miss) => prop_assert!(miss == Miss::Lapped && oldest > 0 && at < stamps[oldest]),
         }
     }

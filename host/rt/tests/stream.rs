@@ -329,7 +329,8 @@ proptest! {
 }
 
 proptest! {
-    /// Written by the thread that reads, or by way of the exchange: the newest counts, and what is in sight stays.
+    /// Samples written by the thread that reads, or by way of the exchange: the newest counts, and a sample
+    /// in sight stays.
     #[test]
     fn samples_of_the_reading_thread_come_with_the_others_by_their_number(ops in prop::collection::vec(0u8..4, 1..60)) {
         let (writer, mut reader) = stream_link(PLAIN, Queue::Latest);

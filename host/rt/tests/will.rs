@@ -8,7 +8,7 @@ use trocar_rt::os::{Scope, futex_wait_each};
 use trocar_rt::pulse::{Life, Pulse};
 use trocar_rt::will::Will;
 
-/// A page as its maker has it, and as the other end does.
+/// A page as its maker has it, and as the other end has it.
 fn page() -> (Pulse, Pulse) {
     let made = Pulse::create([1, 2]).unwrap();
     let opened = Pulse::open(made.fd().unwrap().try_clone_to_owned().unwrap()).unwrap();
@@ -53,7 +53,7 @@ fn of_many_pages_those_are_marked_that_were_not_taken_back_in_whatever_order_tha
             made.iter().for_each(|page| will.add(page).unwrap());
             for at in takes_back {
                 will.remove(&made[at]);
-                // Whoever is not there is not taken back again.
+                // A page that is not there is not taken back again.
                 will.remove(&made[at]);
             }
         });

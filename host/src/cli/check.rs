@@ -1,7 +1,7 @@
-//! `trocar check FILE`: everything that is wrong with a system file, and `--dry-run`: what it would do.
+//! `trocar check FILE`: all problems of a system file, and `--dry-run`: what it would do.
 //!
-//! Invariant: nothing is started and no byte of a plugin runs; what is said is what `run` and `up` would say,
-//! all at once.
+//! Invariant: nothing is started and no byte of a plugin runs; the messages are those of `run` and
+//! `up`, all at once.
 
 use std::path::Path;
 
@@ -94,7 +94,7 @@ fn answer(
     Ok(Exit::Ok)
 }
 
-/// Connections whose ports nobody knows yet.
+/// Returns the connections whose ports are not known yet.
 fn unknown(judged: &Judged) -> Vec<String> {
     let ends = judged.unknown.iter().filter_map(|(port, request)| match request {
         Request::Connect { client, server, .. } => Some(format!(

@@ -18,10 +18,10 @@ use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 use crate::control::{Tokened, dial};
 use crate::runtime_dir::Door;
 
-/// How long to wait for a connection.
+/// Time allowed for making a connection.
 const CONNECT: Duration = Duration::from_secs(2);
 
-/// The words of hyper for pings that were not answered; an outer test looks for what is said then.
+/// hyper's message for pings that were not answered; an outer test looks for the text that is then printed.
 const UNANSWERED: &str = "keep-alive timed out";
 
 /// Bytes of the largest answer taken: a list of many components with long configurations.
@@ -37,7 +37,7 @@ pub(super) struct Client {
     pub(super) plugin: PluginServiceClient<Tokened>,
 }
 
-/// What a status says, in the words of the error table.
+/// A gRPC status, in the words of the error table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Told {
     pub(super) code: &'static str,
@@ -45,11 +45,11 @@ pub(super) struct Told {
     pub(super) message: String,
     pub(super) help: String,
     pub(super) metadata: BTreeMap<String, String>,
-    /// True: no answer of a GCM at all.
+    /// True: this is no answer of a GCM.
     pub(super) transport: bool,
-    /// It is there, and has not answered the pings of `dial` either.
+    /// True: the GCM is there, but has not answered the pings of `dial`, either.
     pub(super) silent: bool,
-    /// It has not answered by the time that the call was given here.
+    /// True: the GCM has not answered by the deadline that was set here for the call.
     pub(super) late: bool,
 }
 
@@ -58,7 +58,7 @@ impl Client {
     /// there is one.
     ///
     /// # Errors
-    /// A sentence: malformed address, nobody listens, no answer in 2 s.
+    /// A sentence: malformed address, no listener, no answer in 2 s.
     pub(super) async fn connect(addr: &str, door: Door) -> Result<Self, String> {
         let channel = dial(&uri(addr), Some(door), CONNECT).await.map_err(|e| match root_cause(&e) {
             cause if cause.contains("invalid uri") || cause.contains("invalid authority") => {

@@ -22,7 +22,7 @@ pub(super) fn run(args: &CompletionsArgs) -> Exit {
     Exit::Ok
 }
 
-/// The tree without what is hidden: clap leaves that out of help, but not out of completions.
+/// Returns the tree without hidden commands: clap leaves them out of help, but not out of completions.
 fn offered(tree: Command) -> Command {
     let subcommands = tree.get_subcommands().filter(|sub| !sub.is_hide_set());
     let shown = Command::new("trocar").args(tree.get_arguments()).subcommands(subcommands.cloned());

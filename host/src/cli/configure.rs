@@ -1,6 +1,7 @@
 //! `trocar configure host/robot '{"seed": 8}'`, `trocar configure host/robot --rate-hz 500`.
 //!
-//! Invariant: the JSON is a merge patch (RFC 7396), sent as it was typed; settings that were not typed stay as they are.
+//! Invariant: the JSON is a merge patch (RFC 7396), sent as it was typed; settings that were not typed
+//! stay as they are.
 
 use clap::Args;
 use serde_json::Value;
@@ -11,7 +12,8 @@ use super::mutation::{MutationArgs, show};
 use super::session::Session;
 use super::typed::json_object;
 
-/// Changes a component's configuration, or where its thread comes from: `trocar configure host/robot '{"seed": 8}'`.
+/// Changes a component's configuration, or where its thread comes from:
+/// `trocar configure host/robot '{"seed": 8}'`.
 #[derive(Args, Debug)]
 pub(super) struct ConfigureArgs {
     /// The component: process/component.

@@ -1,6 +1,7 @@
 //! `trocar connect CLIENT SERVER` and `trocar disconnect`.
 //!
-//! Invariant: client = input or required interface, server = output or provided interface; the GCM checks everything.
+//! Invariant: client = input or required interface, server = output or provided interface; the GCM
+//! checks everything.
 
 use clap::Args;
 
@@ -29,7 +30,8 @@ pub(super) struct ConnectArgs {
     /// Older samples are stale, e.g. 5ms; unset: of an actuator three periods of its source, of others none.
     #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
     pub(super) max_age: Option<u64>,
-    /// Default deadline of waiting calls, e.g. 100ms; goals that were only sent and waited longer are not carried out.
+    /// Default deadline of waiting calls, e.g. 100ms; goals that were only sent and waited longer are
+    /// not carried out.
     #[arg(long, value_name = "TIME", value_parser = units::parse_time)]
     pub(super) deadline: Option<u64>,
     /// Depth of the queue of commands or events.
@@ -38,14 +40,15 @@ pub(super) struct ConnectArgs {
     /// Copy by name when the layouts differ.
     #[arg(long)]
     pub(super) adapt: bool,
-    /// The client may step before the server in a period of both and take its samples one period later: cuts a
-    /// circle of components.
+    /// The client may step before the server in a period of both and take its samples one period later: cuts
+    /// a circle of components.
     #[arg(long)]
     pub(super) delay: bool,
     /// Take the place of the client's present connection.
     #[arg(long)]
     pub(super) replace: bool,
-    /// Pin how data travel: inline, heap (within a process) or memfd (between two, or within one); unset: the best there is.
+    /// Pin how data travel: inline, heap (within a process) or memfd (between two, or within one); unset: the
+    /// best there is.
     #[arg(long, value_name = "NAME")]
     pub(super) carrier: Option<String>,
     #[command(flatten)]
@@ -64,7 +67,7 @@ pub(super) struct DisconnectArgs {
     pub(super) mutation: MutationArgs,
 }
 
-/// What a Disconnect names.
+/// Connection that a Disconnect names.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Cut {
     Id(u64),

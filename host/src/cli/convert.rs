@@ -1,4 +1,4 @@
-//! Wire messages → what the program shows, and what was typed → wire.
+//! Wire messages → what the program shows, and typed arguments → wire.
 //!
 //! Invariant: only these files and `session` of the command line know wire types; they decide nothing.
 
@@ -141,7 +141,7 @@ fn execution(e: &v1::Execution) -> ExecutionView {
     }
 }
 
-/// Only what was typed.
+/// Converts only the settings that were typed.
 pub(super) fn typed_execution(e: &ExecutionArgs) -> v1::Execution {
     v1::Execution {
         model: e.model.map(|m| m.wire_name().to_owned()).unwrap_or_default(),

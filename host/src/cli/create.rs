@@ -1,6 +1,6 @@
 //! `trocar create host/robot eyerobot`.
 //!
-//! Invariant: what is not typed is not sent, so the class's defaults apply.
+//! Invariant: a setting that is not typed is not sent, so the class's default applies.
 
 use clap::{Args, ValueEnum};
 use serde_json::Value;
@@ -21,7 +21,8 @@ pub(super) struct CreateArgs {
     /// Configuration, a JSON object; what is left out takes the class's default.
     #[arg(long, value_name = "JSON", value_parser = json_object)]
     pub(super) config: Option<Value>,
-    /// A process of its own: it is then PROCESS.COMPONENT/COMPONENT. Whoever keeps its process makes it (`trocar up`).
+    /// A process of its own: it is then PROCESS.COMPONENT/COMPONENT. Whoever keeps its process makes it
+    /// (`trocar up`).
     #[arg(long, value_enum, value_name = "KIND")]
     pub(super) isolation: Option<Isolation>,
     #[command(flatten)]
@@ -30,7 +31,7 @@ pub(super) struct CreateArgs {
     pub(super) mutation: MutationArgs,
 }
 
-/// How a component is set apart.
+/// Kinds of isolation of a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Isolation {
     Process,

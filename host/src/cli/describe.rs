@@ -38,7 +38,7 @@ pub(super) async fn run(args: DescribeArgs, session: &Session) -> Done {
 }
 
 fn render(view: &DescribeView, colour: bool) -> String {
-    // Who asks for one port or member wants to use it, and is shown all of its types.
+    // The page of one port or member shows all of its types: a caller wants to use it.
     let deep = view.path.matches('/').count() >= 2;
     let mut page = Page { text: String::new(), colour, deep };
     if let Some(process) = &view.process {
@@ -127,7 +127,7 @@ impl Page {
         push(&mut made_of, ", version ", class.map_or("", |k| &k.version));
         self.entry(1, &made_of, class.map_or("", |k| &k.doc));
         let (rate, mut runs) = (c.rate(), c.rate());
-        // That of a stream's member says its stream once more.
+        // The thread of a stream's member names its stream once more.
         push(&mut runs, ", ", if c.execution.thread == rate { "" } else { &c.execution.thread });
         push(&mut runs, ", at ", &c.phase());
         self.line(1, &format!("health {}, runs {runs}", c.health));
@@ -263,7 +263,8 @@ impl Page {
 
     fn ports(&mut self, ports: &PortsView) {
         for (heading, streams) in [("inputs", &ports.inputs), ("outputs", &ports.outputs)] {
-            // Every component has taps, and their types repeat what stands below: `--json` tells them, and so does one that is asked for.
+            // Every component has taps, and their types repeat those below. `--json` lists them, and so does
+            // the page of a single tap.
             let asked_for = ports.provided.is_empty();
             let own: Vec<&StreamView> = streams.iter().filter(|s| asked_for || !s.tap).collect();
             if !own.is_empty() {
@@ -363,7 +364,7 @@ fn half(p: &ProxyView) -> String {
     format!("{} half in {}: {how}", p.end.to_lowercase(), p.process)
 }
 
-/// What a connection was made with, as far as it says something.
+/// Describes the options of a connection that are set.
 fn options(o: &OptionsView) -> String {
     let mut said = String::new();
     match o.fifo {

@@ -1,7 +1,8 @@
 //! `trocar down FILE|NAME`: takes a system down that `trocar up` keeps.
 //!
-//! Invariant: it answers when everything is down, devices safe first; what did not end in order is named, and its devices may
-//! not be safe. A system nobody keeps is told apart from one that does not answer.
+//! Invariant: it answers when everything is down, devices safe first. Processes that did not end in order
+//! are named, and their devices may not be safe. A system without a supervisor is told apart from one that
+//! does not answer.
 
 use std::path::Path;
 
@@ -45,7 +46,7 @@ pub(super) async fn run(args: DownArgs, session: &Session) -> Done {
     }
 }
 
-/// Which systems are up.
+/// Names the systems that are up.
 async fn known() -> String {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(up::directories()).into_iter().flatten().flatten() {

@@ -10,7 +10,8 @@ use super::{out, units};
 
 /// Follows outputs, events and lifecycle states: `trocar echo host/robot/arm/operating_state`.
 ///
-/// A row of a component's state table, its newest values, is shown by --delayed 0 and the other flags of that group.
+/// A row of a component's state table, its newest values, is shown by --delayed 0 and the other flags
+/// of that group.
 #[derive(Args, Debug)]
 pub(super) struct EchoArgs {
     /// process/component (its lifecycle state and health, as they change), …/interface/event, or …/output.

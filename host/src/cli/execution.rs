@@ -1,12 +1,13 @@
-//! Flags of the execution settings: where a component's thread comes from, and what it does when time runs out.
+//! Flags of the execution settings: the source of a component's thread, and the reaction when time runs out.
 //!
-//! Invariant: what is not typed is not sent: Create takes the class's default, Configure leaves it as it is.
+//! Invariant: a setting that is not typed is not sent: Create takes the class's default, Configure
+//! leaves it as it is.
 
 use clap::{Args, ValueEnum};
 
 use super::units;
 
-/// Where the component's thread comes from.
+/// Execution settings of a component, with the source of its thread.
 #[derive(Args, Clone, Debug, Default, PartialEq)]
 #[command(next_help_heading = "Execution")]
 pub(super) struct ExecutionArgs {
@@ -52,7 +53,7 @@ pub(super) struct ExecutionArgs {
 }
 
 impl ExecutionArgs {
-    /// Nothing of it was typed.
+    /// Tells whether no setting was typed.
     pub(super) fn is_empty(&self) -> bool {
         *self == ExecutionArgs::default()
     }
@@ -81,7 +82,7 @@ pub(super) enum Model {
 }
 
 impl Model {
-    /// The spelling of the API and of the system file.
+    /// Returns the spelling of the API and of the system file.
     pub(super) fn wire_name(self) -> &'static str {
         match self {
             Model::Periodic => "periodic",
@@ -96,17 +97,17 @@ impl Model {
     }
 }
 
-/// How a thread is told that something has come.
+/// Ways to tell a thread that something has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Wake {
     /// Woken, if it sleeps.
     Signal,
-    /// It looks at each period.
+    /// Looks at each period.
     Poll,
 }
 
 impl Wake {
-    /// The spelling of the API and of the system file.
+    /// Returns the spelling of the API and of the system file.
     pub(super) fn wire_name(self) -> &'static str {
         match self {
             Wake::Signal => "signal",
@@ -115,7 +116,7 @@ impl Wake {
     }
 }
 
-/// What happens behind a filter that failed.
+/// Behaviour of a stream behind a filter that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum OnFailure {
     /// Nothing more comes.
@@ -126,7 +127,7 @@ pub(super) enum OnFailure {
 }
 
 impl OnFailure {
-    /// The spelling of the API and of the system file.
+    /// Returns the spelling of the API and of the system file.
     pub(super) fn wire_name(self) -> &'static str {
         match self {
             OnFailure::StopBranch => "stop_branch",

@@ -1,4 +1,5 @@
-//! How a subcommand ends: exit code, reason code, one clear sentence, help; the same content for people and for scripts.
+//! End of a subcommand: exit code, reason code, one clear sentence, help; the same content for people
+//! and for scripts.
 //!
 //! Invariant: this file alone prints failures; with `--json` stdout holds exactly one JSON object about it.
 
@@ -10,7 +11,7 @@ use trocar_model::{Code, Refusal};
 use super::{out, style};
 use crate::system_file::Problem;
 
-/// What a subcommand returns.
+/// Result of a subcommand.
 pub(super) type Done = Result<Exit, Failure>;
 
 /// Exit codes of the program, part of its interface.
@@ -22,7 +23,8 @@ pub(super) enum Exit {
     NoGcm = 3,
     TimedOut = 4,
     Partial = 5,
-    /// Of a host: it served, stood still, and another process has its name now. 75 is EX_TEMPFAIL of sysexits(3).
+    /// The host served and stood still, and now another process has its name. 75 is EX_TEMPFAIL
+    /// of sysexits(3).
     Replaced = 75,
     Interrupted = 130,
 }
@@ -76,7 +78,7 @@ impl Failure {
         Self::new(Exit::Refused, "NOT_FOUND", reason, message, help)
     }
 
-    /// No GCM answers at `addr`.
+    /// Failure of a call when no GCM answers at `addr`.
     pub(super) fn no_gcm(addr: &str, why: &str) -> Self {
         Self::new(
             Exit::NoGcm,
@@ -109,7 +111,7 @@ impl Failure {
         )
     }
 
-    /// What a gRPC answer said.
+    /// A failure from a gRPC answer.
     pub(super) fn answered(
         code: &str,
         reason: &str,

@@ -20,7 +20,7 @@ pub(super) async fn run(args: ForgetArgs, session: &Session) -> Done {
     forget(&args.processes, &args.mutation, session).await
 }
 
-/// All of them, or none.
+/// Forgets all of them, or none.
 pub(super) async fn forget(processes: &[String], mutation: &MutationArgs, session: &Session) -> Done {
     let outcome = session.forget(processes, mutation).await?;
     show(session, &outcome, mutation.dry_run, &format!("forgotten: {}", processes.join(", ")))

@@ -1,6 +1,7 @@
 //! `trocar graph`: the system as text, Mermaid, Graphviz or JSON.
 //!
-//! Invariant: pure functions of one `SystemView`; arrows point the way the data or the call's answer flows, server → client.
+//! Invariant: pure functions of one `SystemView`; arrows point the way the data or the call's answer flows,
+//! server → client.
 
 use std::fmt::Write as _;
 
@@ -55,7 +56,7 @@ fn plain(view: &SystemView) -> String {
     text
 }
 
-/// What is to be said of a connection between processes.
+/// Describes the carrier of a connection between processes, or why there is none.
 fn between(c: &ConnectionView) -> String {
     match c.not_linked() {
         _ if c.proxies.is_empty() => String::new(),
@@ -112,7 +113,8 @@ fn in_process<'v>(view: &'v SystemView, process: &'v str) -> impl Iterator<Item 
     view.components.iter().filter(move |c| c.path.split('/').next() == Some(process))
 }
 
-/// Mermaid ids hold letters, digits and underscores only; other characters become their code, so ids stay distinct.
+/// Returns a Mermaid id. Such ids hold letters, digits and underscores only; other characters become their
+/// code, so that ids stay distinct.
 fn id(path: &str) -> String {
     let mut id = "n_".to_owned();
     for c in path.chars() {

@@ -54,7 +54,7 @@ pub(super) fn by_task(program: &clap::Command) -> String {
     text
 }
 
-/// In lines of the width, the second and later ones below the first.
+/// Wraps a text to the width, the second and later lines below the first.
 fn wrapped(text: &str) -> String {
     let mut out = String::new();
     let mut column = NAMES;

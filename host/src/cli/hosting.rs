@@ -34,7 +34,8 @@ pub(super) struct HostArgs {
     /// Name of the process, the first part of its components' paths.
     #[arg(long, default_value = "host", value_parser = name)]
     name: Name,
-    /// Directory of plugin files, watched; may be given several times [default: ./plugins, else where this program lies].
+    /// Directory of plugin files, watched; may be given several times [default: ./plugins, else where this
+    /// program lies].
     #[arg(long, value_name = "DIR")]
     plugins: Vec<PathBuf>,
     /// Address to listen on; port 0 takes a free one.
@@ -49,10 +50,12 @@ pub(super) struct HostArgs {
     /// Which plugin files are taken: dev (your own and root's) or allowlist:FILE (sha256 listed).
     #[arg(long, default_value = "dev", value_name = "MODE")]
     trust: String,
-    /// Keep all memory of this process from being swapped out; where that is not allowed it is said and it runs without.
+    /// Keep all memory of this process from being swapped out; where that is not allowed it is said and
+    /// it runs without.
     #[arg(long)]
     lock_memory: bool,
-    /// Let components start programs, as you: classes that do (`trocar describe CLASS` says so) are refused otherwise.
+    /// Let components start programs, as you: classes that do (`trocar describe CLASS` says so) are
+    /// refused otherwise.
     #[arg(long)]
     allow_exec: bool,
     #[command(flatten)]
@@ -69,8 +72,8 @@ pub(super) struct PortArgs {
     /// The viewer's page changes nothing: what it asks for is refused. `trocar` and grpcurl go on as ever.
     #[arg(long = "viewer-read-only")]
     only_reads: bool,
-    /// Let every user of this machine change things, not only yourself and root. Without it others read, unless they send
-    /// what `trocar token` prints.
+    /// Let every user of this machine change things, not only yourself and root. Without it others read,
+    /// unless they send what `trocar token` prints.
     #[arg(long)]
     open_loopback: bool,
 }
@@ -88,7 +91,7 @@ impl PortArgs {
     }
 }
 
-/// How much memory a process may use.
+/// Bounds of the memory that a process may use.
 #[derive(Args, Clone, Copy, Debug)]
 struct MemoryArgs {
     /// List this process with a warning while it has more memory than this in use, MiB.
@@ -106,16 +109,17 @@ impl MemoryArgs {
     }
 }
 
-/// How a process is tied to whoever starts it.
+/// Tie of a process to its supervisor.
 #[derive(Args, Clone, Copy, Debug)]
 pub(super) struct Tie {
-    /// End, devices safe first, when standard input is closed; wait for a GCM that is not there yet. For supervisors.
+    /// End, devices safe first, when standard input is closed; wait for a GCM that is not there yet.
+    /// For supervisors.
     #[arg(long)]
     tied: bool,
 }
 
 impl Tie {
-    /// Listens for the end of this process, from whomever it comes.
+    /// Listens for requests to end this process, from any source.
     pub(super) fn listen(self) -> Result<StopRequest, Failure> {
         let stop = StopRequest::listen();
         if self.tied {
@@ -125,7 +129,7 @@ impl Tie {
     }
 }
 
-/// Says to whoever keeps this process why it does not run, or not any more.
+/// Tells the keeper of this process why it does not run, or not any more.
 pub(super) fn heard(done: Done) -> Done {
     if let Err(failure) = &done {
         say_to_keeper(&out::json(&failure.to_json().to_string()));
@@ -158,7 +162,7 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
     let mut stop = args.tie.listen()?;
     let host = tokio::select! {
         host = config.clone().start() => host?,
-        // Nothing was made yet that would not be taken back.
+        // The host takes back everything that it has made by now.
         () = stop.asked() => return Ok(Exit::Interrupted),
     };
     logging::to_file(host.state_dir().path());
@@ -167,8 +171,8 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
     until_stopped(host, stop).await
 }
 
-/// Ends this process, which cannot go on: says why to people and to whoever keeps it. No runtime is left that
-/// could be counted on.
+/// Ends this process, which cannot go on: tells people and its keeper why. No runtime is left that could
+/// be counted on.
 pub(super) fn end_broken(why: &str) {
     let help = "start it again. A component must close only what it opened itself (no closefrom, no second close); one that \
                 does not is kept apart by \"isolated\": true. Where a thread broke down, trocar has a fault: report it";
@@ -189,8 +193,8 @@ pub(super) fn trust(text: &str) -> Result<Trust, Failure> {
     text.parse().map_err(|e| Failure::from(HostError::Store(e)))
 }
 
-/// The directories named, else `./plugins`, else the program's own directory (where cargo puts built plugins). A `./plugins`
-/// that holds other things and no library, such as sources, is not meant.
+/// Returns the named directories, else `./plugins`, else the program's own directory (where cargo puts built
+/// plugins). A `./plugins` that holds other things and no library, such as sources, is not taken.
 pub(super) fn plugin_dirs(named: Vec<PathBuf>) -> Vec<PathBuf> {
     if !named.is_empty() {
         return named;
@@ -205,7 +209,8 @@ pub(super) fn plugin_dirs(named: Vec<PathBuf>) -> Vec<PathBuf> {
     own.into_iter().collect()
 }
 
-/// The directories `given`, else those of a process of a system file, which are relative to `base`, else as for any host.
+/// Returns the directories `given`, else those of a process of a system file, which are relative to `base`,
+/// else those of any host.
 pub(super) fn plugins_of(process: &ProcessSpec, base: &Path, given: Vec<PathBuf>) -> Vec<PathBuf> {
     match (given.is_empty(), process.plugins.is_empty()) {
         (false, _) => given,
@@ -227,12 +232,12 @@ pub(super) async fn until_stopped(mut host: Host, mut stop: StopRequest) -> Done
     }
 }
 
-/// Where it listens, for people and scripts.
+/// Returns the address that the host listens on, for people and scripts.
 pub(super) fn address(host: &Host) -> String {
     host.addr().map_or_else(|| "nowhere".to_owned(), |addr| addr.to_string())
 }
 
-/// Where a browser sees the system of the GCM at this address.
+/// Returns the page on which a browser sees the system of the GCM at this address.
 pub(super) fn viewer(gcm: &str) -> String {
     format!("http://{gcm}/")
 }

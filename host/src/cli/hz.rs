@@ -1,7 +1,7 @@
 //! `trocar hz PATH…`: how often outputs and events come, and how evenly, seen from outside.
 //!
-//! Invariant: rates come from the sender's own numbers and stamps, so what is lost on the way here changes none; periods are
-//! taken only between neighbours that were both seen, and how many that were is said.
+//! Invariant: rates come from the sender's own numbers and stamps, so samples lost on the way here do not
+//! change them. Periods are taken only between neighbours that were both seen, and their number is printed.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use super::session::Session;
 use super::view::ItemView;
 use super::{out, units};
 
-/// Most samples per second a host looks for in our name.
+/// Most samples per second that a host looks for on behalf of this command.
 const LOOKS_HZ: f64 = 1000.0;
 
 /// Measures rate and jitter of outputs and events: `trocar hz host/robot/measured_js`.
@@ -31,15 +31,16 @@ pub(super) struct HzArgs {
     count: Option<u64>,
 }
 
-/// What came in one window, and since the last one seen before it.
+/// Samples of one window, and of the time since the last one seen before it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 struct Line {
     path: String,
-    /// By the sender's numbers and stamps; 0 = there was no earlier one to compare with.
+    /// Rate by the sender's numbers and stamps; 0 = there was no earlier sample to compare with.
     rate_hz: f64,
-    /// How many were sent since the last one of the windows before, or since the first one, up to the last one seen.
+    /// Number of samples sent up to the last one seen: since the last one of the windows before, or since
+    /// the first one.
     sent: u64,
-    /// Of those.
+    /// Number of these that were seen.
     seen: u64,
     /// Periods between neighbours that were both seen.
     periods: u64,
@@ -49,14 +50,15 @@ struct Line {
     period_max_ns: u64,
 }
 
-/// What was seen of one path.
+/// Samples of one path seen so far.
 #[derive(Clone, Debug, Default)]
 struct Seen {
-    /// Number and stamp, ns; the last one of the window before begins the next, in which it is not counted again.
+    /// Number and stamp, ns. The last sample of the window before begins the next window, and is not
+    /// counted in it again.
     first: Option<(u64, u64)>,
     last: Option<(u64, u64)>,
     seen: u64,
-    /// `first` was seen in a window before.
+    /// True: `first` was seen in a window before.
     goes_on: bool,
     periods: Vec<u64>,
 }
@@ -65,7 +67,7 @@ impl Seen {
     fn take(&mut self, seq: u64, stamp_ns: u64) {
         if let Some((before, at)) = self.last {
             if seq <= before {
-                // It began anew.
+                // The sender began anew.
                 *self = Seen::default();
             } else if seq == before + 1 {
                 self.periods.push(stamp_ns.saturating_sub(at));
@@ -76,7 +78,7 @@ impl Seen {
         self.seen += 1;
     }
 
-    /// Closes the window.
+    /// Closes the window and returns its line.
     fn line(&mut self, path: &str) -> Line {
         let mut line = Line { path: path.to_owned(), seen: self.seen, ..Line::default() };
         if let (Some((from, began)), Some((to, ended))) = (self.first, self.last) {

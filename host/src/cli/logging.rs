@@ -1,7 +1,7 @@
-//! Where log lines go: stderr for people, a rotated file in the state directory for later.
+//! Destinations of log lines: stderr for people, a rotated file in the state directory for later.
 //!
-//! Invariant: a full disk or a closed stderr never stops the program; the level that is recorded is never coarser than
-//! the one shown.
+//! Invariant: a full disk or a closed stderr never stops the program; the level that is recorded is never
+//! coarser than the one shown.
 
 use std::collections::VecDeque;
 use std::fs::{self, File};
@@ -34,20 +34,20 @@ static LOGGER: Logger = Logger {
 
 struct Logger {
     shown: Mutex<LevelFilter>,
-    /// The place of lines instead of stderr, while a screen is drawn there.
+    /// Destination of lines instead of stderr, while a screen is drawn there.
     kept: Mutex<Option<Kept>>,
     file: Mutex<Option<Rotating>>,
     readers: Mutex<Readers>,
 }
 
-/// Where lines go for those who ask with `trocar logs`; until that is known they are kept.
+/// Destination of the lines that `trocar logs` asks for; until it is known the lines are kept.
 enum Readers {
     Early(Vec<LogLine>),
     Told(Arc<dyn Fn(LogLine) + Send + Sync>),
 }
 
 impl Logger {
-    /// Outside the lock: whoever is told may be one that does not come back.
+    /// Calls the reader outside the lock: it may not come back.
     fn tell(&self, line: LogLine) {
         let mut readers = self.readers.lock().unwrap_or_else(PoisonError::into_inner);
         match &mut *readers {
@@ -68,7 +68,8 @@ struct Rotating {
     bytes: u64,
 }
 
-/// Starts logging: `shown` and above to stderr; `TROCAR_LOG` (error … trace) overrides it. Info is always recorded.
+/// Starts logging: `shown` and above to stderr; `TROCAR_LOG` (error … trace) overrides it. Info is
+/// always recorded.
 pub(super) fn install(shown: LevelFilter) {
     let asked = std::env::var("TROCAR_LOG").ok().and_then(|l| l.parse().ok());
     let shown = asked.unwrap_or(shown);
@@ -87,7 +88,7 @@ pub(super) fn to_file(dir: &Path) {
     }
 }
 
-/// From now on the process's own lines can be read like those of its components; those since the start, too.
+/// Makes the process's own lines readable like those of its components, those since the start, too.
 pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + Sync + 'static) {
     let mut readers = LOGGER.readers.lock().unwrap_or_else(PoisonError::into_inner);
     if let Readers::Early(kept) = &mut *readers {
@@ -99,7 +100,7 @@ pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + Sync + 'static) {
 /// Lines that a screen shows: what a person was warned of, and the newest of the log.
 #[derive(Clone, Default)]
 pub(super) struct Kept {
-    /// By [`warn`]: said once, and true as long as it runs.
+    /// Warnings by [`warn`]: said once, and true as long as the program runs.
     pub(super) lasting: Vec<String>,
     pub(super) newest: VecDeque<String>,
     /// Number of all there were.
@@ -193,7 +194,7 @@ impl Log for Logger {
         if let Some(file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
             let _ = file.write(&line);
         }
-        // What components say is told by their LCM.
+        // The LCM sends the log lines of components.
         if record.target() != "component" {
             let line = LogLine {
                 wall_ns: now,

@@ -8,7 +8,8 @@ use super::failure::{Done, Exit};
 use super::session::Session;
 use super::{out, units};
 
-/// Shows what components and hosts log: also what was asked of the system and what came of it, and refused plugin files.
+/// Shows what components and hosts log: also what was asked of the system and what came of it, and
+/// refused plugin files.
 #[derive(Args, Debug)]
 pub(super) struct LogsArgs {
     /// Only this process, component or glob.
@@ -17,7 +18,8 @@ pub(super) struct LogsArgs {
     /// Go on with what comes.
     #[arg(long, short)]
     follow: bool,
-    /// Only the newest N lines, and with --follow what comes after them; without it all that are kept, 1000 at most.
+    /// Only the newest N lines, and with --follow what comes after them; without it all that are
+    /// kept, 1000 at most.
     #[arg(long, short = 'n', value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     last: Option<u32>,
     /// Most detailed level shown.

@@ -110,7 +110,7 @@ fn components(view: &SystemView) -> Table {
     table
 }
 
-/// What fits into a column; `trocar describe` has the rest.
+/// Cuts a fault to the width of a column; `trocar describe` shows all of it.
 fn shortened(fault: &str) -> String {
     match fault.char_indices().nth(FAULT) {
         None => fault.to_owned(),

@@ -1,8 +1,8 @@
 //! The command line: clap's tree, one file per subcommand.
 //!
-//! Invariant: the whole surface (names, flags, help) is compared with `host/tests/cli-surface.txt`; a
-//! subcommand only asks over gRPC what anybody could ask, except those that are a process themselves (`host`,
-//! `gcm`, `run`, `demo`).
+//! Invariant: the whole surface (names, flags, help) is compared with `host/tests/cli-surface.txt`. A
+//! subcommand only asks over gRPC what any client could ask, except those that are a process themselves
+//! (`host`, `gcm`, `run`, `demo`).
 
 mod apply;
 mod call;
@@ -88,11 +88,11 @@ struct Cli {
     command: Command,
 }
 
-/// Where flags that every subcommand takes stand in its help.
+/// Position in the help of the flags that every subcommand takes.
 const LAST: usize = 900;
 
-/// Subcommands that ask no GCM. They take the flag, so that those to whom it could seem to matter can refuse
-/// it in a clear sentence, and do not offer it.
+/// Subcommands that ask no GCM. They take the flag but do not offer it, so that a subcommand that it might
+/// seem to matter to can refuse it in a clear sentence.
 const ASK_NO_GCM: [&str; 12] = [
     "demo",
     "run",
@@ -252,7 +252,7 @@ fn process(main: impl Future<Output = Done>) -> Done {
     block_on(tokio::runtime::Builder::new_multi_thread(), main)
 }
 
-/// After this a thread that was needed for what blocks ends.
+/// Idle time after which a thread for blocking work ends.
 const IDLE: Duration = Duration::from_secs(2);
 
 fn block_on(mut builder: tokio::runtime::Builder, main: impl Future<Output = Done>) -> Done {
@@ -292,7 +292,7 @@ fn refused_by_clap(e: &clap::Error) -> ExitCode {
     let all = asked == "trocar stop" && e.kind() == ErrorKind::MissingRequiredArgument;
     let all = all.then(|| "everything: `trocar stop --all`".to_owned());
     let more = format!("see `{asked} --help`");
-    // Clap's advice for whoever means a flag as a value helps nobody here.
+    // Clap's advice for a flag that is meant as a value is of no use here.
     let tip = line("tip: ").filter(|tip| !tip.starts_with("to pass "));
     let help: Vec<String> = [tip, all, usage, Some(more)].into_iter().flatten().collect();
     Failure::usage(middle_cut(sentence.trim_start_matches("error: ")), help.join("; ")).print(json);
@@ -325,7 +325,7 @@ fn middle_cut(sentence: &str) -> String {
     format!("{head}… ({} characters left out) …{tail}", all - HEAD - TAIL)
 }
 
-/// The tree: what is parsed, completed, and compared with the surface's golden file.
+/// Returns the tree that is parsed, completed, and compared with the surface's golden file.
 pub fn command() -> clap::Command {
     let gcm = |help: &'static str| {
         clap::Arg::new("gcm").long("gcm").value_name("ADDR").display_order(LAST).help(help)

@@ -1,6 +1,7 @@
-//! What every changing subcommand shares: its flags, and how its outcome is shown.
+//! Common part of all changing subcommands: their flags, and how their outcome is shown.
 //!
-//! Invariant: an outcome is printed once, whole: what was done, what was left alone and why, warnings, the revision.
+//! Invariant: an outcome is printed once, whole: what was done, what was left alone and why,
+//! warnings, the revision.
 
 use clap::Args;
 use serde::Serialize;
@@ -23,7 +24,7 @@ pub(super) struct MutationArgs {
     pub(super) timeout: Option<u64>,
 }
 
-/// What a change did.
+/// Result of a change.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Outcome {
     pub(super) revision: u64,
@@ -37,7 +38,7 @@ pub(super) struct Outcome {
     pub(super) connection: u64,
 }
 
-/// How a component stands afterwards.
+/// State of a component after the change.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Standing {
     pub(super) path: String,
@@ -53,7 +54,7 @@ pub(super) struct Left {
     pub(super) why: String,
 }
 
-/// Prints an outcome; `done` says in words what was asked, for an outcome that lists no component.
+/// Prints an outcome; `done` puts the request into words, for an outcome that lists no component.
 pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &str) -> Done {
     let exit = if outcome.failed.is_empty() { Exit::Ok } else { Exit::Partial };
     if session.json() {

@@ -15,7 +15,8 @@ use crate::system_file::{BadSet, SystemFile};
 pub(super) struct SystemArgs {
     /// The system file (`trocar schema system` describes it).
     pub(super) file: PathBuf,
-    /// Another value for one setting, JSON or plain text: process/component.key=value; may be given several times.
+    /// Another value for one setting, JSON or plain text: process/component.key=value; may be given
+    /// several times.
     #[arg(long = "set", value_name = "ASSIGNMENT")]
     pub(super) sets: Vec<String>,
 }
@@ -24,8 +25,8 @@ pub(super) struct SystemArgs {
 pub(super) struct FileArgs {
     #[command(flatten)]
     pub(super) system: SystemArgs,
-    /// Plugin directory instead of the file's; may be given several times [where neither: ./plugins, else where this program
-    /// lies].
+    /// Plugin directory instead of the file's; may be given several times [where neither: ./plugins, else
+    /// where this program lies].
     #[arg(long, value_name = "DIR")]
     pub(super) plugins: Vec<PathBuf>,
 }

@@ -23,8 +23,9 @@ pub(super) struct Offline {
 }
 
 impl Offline {
-    /// The processes of `draft`; relative paths are relative to `base`, `given` are plugin directories instead
-    /// of the file's. A directory of the file, or a list of hashes, that cannot be read is noted in the draft.
+    /// The processes of `draft`; relative paths are relative to `base`, `given` are plugin directories
+    /// instead of the file's. A directory of the file, or a list of hashes, that cannot be read is
+    /// noted in the draft.
     ///
     /// # Errors
     /// A plugin directory that is not the file's cannot be read.

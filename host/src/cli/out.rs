@@ -29,17 +29,20 @@ pub(super) fn line(line: &str) {
     text(&format!("{line}\n"));
 }
 
-/// Writes what may hold text from elsewhere: nothing in it is obeyed by a terminal or begins a line of its own.
+/// Writes text that may come from elsewhere: a terminal obeys nothing in it, and no part of it begins a
+/// line of its own.
 pub(super) fn say(text: &str) {
     line(&paragraph(text));
 }
 
-/// The same on stderr, behind "error" or "warning". A reader that went away ends nothing: the answer is elsewhere.
+/// The same on stderr, behind "error" or "warning". A reader that went away does not end the program: the
+/// answer is elsewhere.
 pub(super) fn complain(kind: &str, text: &str) {
     let _ = writeln!(std::io::stderr(), "{kind}: {}", paragraph(text));
 }
 
-/// Writes a line that nobody has to read, to stderr or stdout: where it cannot be written the program goes on.
+/// Writes a line that nobody has to read, to stderr or stdout: where it cannot be written the
+/// program goes on.
 pub(super) fn news(line: &str, to_stderr: bool) {
     let line = format!("{line}\n");
     let _ = match to_stderr {

@@ -119,7 +119,7 @@ fn show(plugins: &[PluginView]) {
     }
 }
 
-/// What a file offers, none of it run.
+/// Reads what a file offers; no code of the file runs.
 pub(super) fn looked_at(file: &Path) -> Result<Inspection, Failure> {
     if !file.exists() {
         let text = format!("there is no file {}", file.display());

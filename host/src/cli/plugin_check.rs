@@ -1,7 +1,9 @@
-//! `trocar plugin check FILE`: would a host load it? And `--as arm`: does a class offer what a standard device interface asks for?
+//! `trocar plugin check FILE`: would a host load it? And `--as arm`: does a class offer what a standard
+//! device interface asks for?
 //!
-//! Invariant: contracts are judged from the manifest by the same tables docs/INTERFACES.md is written from, and no byte of the
-//! file runs; without a contract it runs in a child process only, as it does before a host loads it.
+//! Invariant: contracts are judged from the manifest, by the same tables that docs/INTERFACES.md is written
+//! from, and no code of the file runs. Without a contract the file runs in a child process only, as it does
+//! before a host loads it.
 
 use std::path::{Path, PathBuf};
 
@@ -16,8 +18,8 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{out, plugin, style};
 
-/// Checks whether a host would load the file, tried in a child process; with --as, a class against the contract of a standard
-/// device interface (docs/INTERFACES.md).
+/// Checks whether a host would load the file, tried in a child process; with --as, a class against the
+/// contract of a standard device interface (docs/INTERFACES.md).
 #[derive(Args, Debug)]
 pub(super) struct CheckArgs {
     /// The .so file.
@@ -33,7 +35,7 @@ pub(super) struct CheckArgs {
     class: Option<String>,
 }
 
-/// One class and in what it differs.
+/// One class, and its differences from the contract.
 struct Judged {
     class: String,
     violations: Vec<Violation>,
@@ -67,7 +69,7 @@ pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
     Ok(exit)
 }
 
-/// What a host would find before it loads the file.
+/// Tries the file out as a host does before it loads it.
 fn tried(file: &Path, session: &Session) -> Done {
     let seen = plugin::looked_at(file)?;
     let exe = std::env::current_exe()

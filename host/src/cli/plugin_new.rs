@@ -41,7 +41,7 @@ pub(super) fn run(args: &NewArgs, session: &Session) -> Done {
     }
     let sdk = template.sdk(args.sdk.as_deref())?;
     write(dir, template.files(), &args.name, &sdk).map_err(|e| {
-        // Half a plugin helps nobody.
+        // Half a plugin is of no use.
         let _ = fs::remove_dir_all(dir);
         Failure::local(
             "IO",

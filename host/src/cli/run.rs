@@ -17,7 +17,7 @@ use crate::gcm::ExecuteOptions;
 use crate::host::{Host, HostConfig, StopRequest};
 use crate::system_file::SystemFile;
 
-/// How long a whole system may take to come up.
+/// Time that a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
 
 const EXAMPLES: &str = "\
@@ -68,8 +68,8 @@ pub(super) async fn run(args: RunArgs, session: &Session) -> Done {
     done
 }
 
-/// Makes the file's folder the working directory, as `trocar up` does for its processes: paths in configurations
-/// are relative to the file, too. Every other relative path was made absolute before.
+/// Makes the file's folder the working directory, as `trocar up` does for its processes: paths in
+/// configurations are relative to the file, too. Every other relative path was made absolute before.
 fn go_to(folder: &Path) -> Result<(), Failure> {
     if folder.as_os_str().is_empty() {
         return Ok(());

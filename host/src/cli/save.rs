@@ -72,7 +72,7 @@ fn counted(text: &str) -> Result<String, Failure> {
 fn folder_of(output: Option<&Path>) -> Result<PathBuf, Failure> {
     let parent = output.and_then(Path::parent).filter(|dir| !dir.as_os_str().is_empty());
     let dir = parent.unwrap_or(Path::new("."));
-    // Not resolved: hosts call their directories as they were given.
+    // Paths are not resolved: hosts call their directories as they were given.
     std::fs::metadata(dir).and_then(|_| std::path::absolute(dir)).map_err(|e| {
         let what = format!("the directory {} cannot be used: {e}", dir.display());
         Failure::local("IO", what, "make it first, or name another file")
@@ -95,11 +95,11 @@ fn write(file: &Path, text: &str, force: bool) -> Result<(), Failure> {
     })
 }
 
-/// Refused where somebody has made one meanwhile.
+/// Makes the file; refuses where another program has made it meanwhile.
 fn make(file: &Path, text: &str) -> std::io::Result<()> {
     let put = File::create_new(file)?.write_all(text.as_bytes());
     put.inspect_err(|_| {
-        // Half of it is no system; what went wrong is said.
+        // Half a file is no system; the first error is reported.
         let _ = std::fs::remove_file(file);
     })
 }
@@ -110,7 +110,7 @@ fn replace(file: &Path, text: &str) -> std::io::Result<()> {
     let new = PathBuf::from(name);
     let put = std::fs::write(&new, text).and_then(|()| std::fs::rename(&new, file));
     put.inspect_err(|_| {
-        // It may not be there; what went wrong is said.
+        // The file may not exist; the first error is reported.
         let _ = std::fs::remove_file(&new);
     })
 }

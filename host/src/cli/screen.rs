@@ -1,6 +1,7 @@
 //! A terminal as a screen: drawn over, and keys at once.
 //!
-//! Invariant: however it ends, the terminal is as it was; nothing drawn is longer or higher than the terminal.
+//! Invariant: however the screen ends, the terminal is as it was; nothing drawn is longer or higher
+//! than the terminal.
 
 use std::io::{IsTerminal, Read, Write};
 
@@ -8,7 +9,7 @@ use rustix::termios::{self, LocalModes, OptionalActions, Termios};
 use tokio::sync::mpsc;
 use trocar_rt::house;
 
-/// What a key asks for.
+/// Action that a key asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Key {
     Quit,
@@ -50,7 +51,7 @@ impl Screen {
         let (tell, keys) = mpsc::unbounded_channel();
         let before = raw();
         if before.is_some() {
-            // It waits for a key until the process ends.
+            // The thread waits for a key until the process ends.
             house::spawn(std::thread::Builder::new().name("trocar-keys".into()), move || read_keys(&tell))
                 .ok();
         }
@@ -125,13 +126,13 @@ fn write(text: &str) {
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
 
-/// What fits, each line cleared to its end. Colours take no room, and end with their line.
+/// Returns the part that fits, each line cleared to its end. Colours take no room, and end with their line.
 fn fitted(text: &str, rows: usize, columns: usize) -> String {
     let lines = clipped(text, rows, "");
     lines.iter().map(|line| cut(line, columns) + "\x1b[K").collect::<Vec<_>>().join("\r\n")
 }
 
-/// So many lines of a text; where it has more, the last one says how many, and where they are seen.
+/// Returns so many lines of a text; where it has more, the last one says how many, and where they are seen.
 pub(super) fn clipped(text: &str, rows: usize, elsewhere: &str) -> Vec<String> {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     let hidden = lines.len().saturating_sub(rows);

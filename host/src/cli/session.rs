@@ -25,13 +25,13 @@ use super::wait::{For, Waiting};
 use super::{convert, out};
 use crate::runtime_dir::Door;
 
-/// Port a GCM listens on when nobody says otherwise.
+/// Port that a GCM listens on by default.
 pub(super) const DEFAULT_GCM: &str = "127.0.0.1:50551";
 
-/// How much longer than its deadline a GCM may take to say that it passed.
+/// Time beyond the deadline of a call that a GCM may take to report that the deadline passed.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// Where the GCM is, how answers are printed, and the connection once there is one.
+/// Address of the GCM, form of the answers, and the connection once there is one.
 pub(super) struct Session {
     explicit: Option<String>,
     json: bool,
@@ -47,7 +47,7 @@ impl Session {
         self.json
     }
 
-    /// What `--gcm` said, without the environment: for subcommands that are a process themselves.
+    /// Returns the value of `--gcm`, without the environment: for subcommands that are a process themselves.
     pub(super) fn explicit_gcm(&self) -> Option<&str> {
         self.explicit.as_deref()
     }
@@ -111,11 +111,11 @@ impl Session {
             Err(failure) if failure.reason.ends_with("_NOT_FOUND") => failure,
             answered => return answered,
         };
-        // Of what exists the path is tried first: a class is what stands under no such path.
+        // A path that exists is tried first; a name under which no path exists may be a class.
         self.class(path).await.map_err(|other| nor_a_class(path, failure, &other))
     }
 
-    /// What stands under a path.
+    /// Describes the object at a path.
     pub(super) async fn path(&self, path: &str) -> Result<DescribeView, Failure> {
         self.described(path, v1::DescribeRequest { path: path.to_owned(), ..Default::default() }).await
     }
@@ -197,7 +197,7 @@ impl Session {
         Ok(a.get_ref().plugins.iter().map(convert::plugin).collect())
     }
 
-    /// Plugins called so after another look at them, and what is to be said beside.
+    /// Has hosts look again at plugins of this name; returns these plugins, and warnings.
     pub(super) async fn recheck(
         &self,
         name: &str,
@@ -251,7 +251,7 @@ impl Session {
     }
 }
 
-/// Whoever wrote `plugin/Clas` with a plugin that exists meant a class.
+/// Adds the classes of a plugin: a user who typed `plugin/Clas`, with a plugin that exists, meant a class.
 fn nor_a_class(path: &str, no_path: Failure, no_class: &Failure) -> Failure {
     let Some((plugin, _)) = path.split_once('/') else { return no_path };
     let known = no_class.metadata.get("known").map_or("", String::as_str);

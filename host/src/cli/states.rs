@@ -145,7 +145,7 @@ pub(super) async fn remove(args: RmArgs, session: &Session) -> Done {
     let paths = named(&args.of.paths, session).await?;
     let outcome = session.remove(&paths, args.force, mutation).await?;
     if !session.json() && !mutation.dry_run {
-        // What goes cannot say any more what became of it first.
+        // A component that is removed cannot be asked later, so its stop is reported here.
         outcome.plan.iter().filter_map(|line| line.strip_prefix("- stop ")).for_each(|what| {
             out::say(&format!("stopped {what}"));
         });

@@ -1,7 +1,7 @@
 //! Aligned columns for people.
 //!
-//! Invariant: colour never changes the alignment; widths count characters, not bytes; a cell never holds what a terminal
-//! would obey.
+//! Invariant: colour never changes the alignment; widths count characters, not bytes; a cell never holds text
+//! that a terminal would obey.
 
 use anstyle::Style;
 

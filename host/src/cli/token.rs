@@ -1,6 +1,6 @@
-//! `trocar token`: what lets another user's program change things at this user's hosts.
+//! `trocar token`: the secret that lets another user's program change things at this user's hosts.
 //!
-//! Invariant: asks nobody; the token is printed and nothing else, so that a shell can put it where it is needed.
+//! Invariant: asks no GCM; prints the token and nothing else, so that a shell can put it where it is needed.
 
 use clap::Args;
 use serde_json::json;
@@ -19,8 +19,9 @@ Examples:
 
 /// Prints your token: who sends it may change things at your hosts.
 ///
-/// Your own programs, and root's, need none: the kernel tells a host whose they are. Another user reads without it. It lies in the
-/// user's state directory, for your eyes only; removing the file withdraws it, and the next call makes another.
+/// Your own programs, and root's, need none: the kernel tells a host whose they are. Another user reads
+/// without it. It lies in the user's state directory, for your eyes only; removing the file withdraws it, and
+/// the next call makes another.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct TokenArgs {}

@@ -1,6 +1,7 @@
 //! Reads what people type as JSON.
 //!
-//! Invariant: a key that stands twice is refused, as in a system file; an error never repeats a huge argument whole.
+//! Invariant: a key that occurs twice is refused, as in a system file; an error never repeats a huge
+//! argument whole.
 
 use serde_json::Value;
 
@@ -39,7 +40,7 @@ pub(super) fn json_value(text: &str) -> Result<Value, Failure> {
     }
 }
 
-/// Where a key stands twice.
+/// Returns the place of a key that occurs twice.
 fn twice(text: &str) -> Option<String> {
     crate::system_file::duplicate_key("the argument", text).map(|problem| problem.to_string())
 }

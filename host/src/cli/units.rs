@@ -38,7 +38,7 @@ pub(super) fn rate_of_period(period_ns: u64) -> String {
     if period_ns == 0 { "-".to_owned() } else { rate(1e9 / period_ns as f64) }
 }
 
-/// So many of something that is called by a regular word: "1 output", "2 outputs".
+/// Counts something that is called by a regular word: "1 output", "2 outputs".
 pub(super) fn count(n: u64, one: &str) -> String {
     let more = if one.ends_with('s') { "es" } else { "s" };
     format!("{n} {one}{}", if n == 1 { "" } else { more })
@@ -122,7 +122,7 @@ pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     }
 }
 
-/// At most `most` characters, with what was left out counted.
+/// Returns at most `most` characters, with the number of those left out.
 pub(super) fn cut(text: &str, most: usize) -> String {
     let all = text.chars().count();
     if all <= most {

@@ -1,7 +1,7 @@
-//! What the program shows of a system: plain values, independent of the wire.
+//! Values that the program shows of a system: plain, independent of the wire.
 //!
-//! Invariant: `--json` prints exactly these structs, so their fields are part of the program's interface; every number
-//! says its unit in its name.
+//! Invariant: `--json` prints exactly these structs, so their fields are part of the program's interface;
+//! every number has its unit in its name.
 
 use serde::Serialize;
 use serde_json::Value;
@@ -22,18 +22,18 @@ pub(super) struct ProcessView {
     pub(super) state: String,
     pub(super) epoch: u64,
     pub(super) endpoint: String,
-    /// What it is, of a guest; empty otherwise.
+    /// Kind of a guest; empty for other processes.
     pub(super) guest: String,
     pub(super) pid: u32,
     /// Full names, `plugin/class`.
     pub(super) classes: Vec<String>,
-    /// How it ended last, as its supervisor told; "" when it never did.
+    /// Last end of the process, as its supervisor reported it; "" when it never ended.
     pub(super) last_exit: String,
-    /// How often its supervisor started it again.
+    /// Number of times its supervisor started it again.
     pub(super) restarts: u32,
-    /// What the process itself is warned of.
+    /// Warnings of the process about itself.
     pub(super) warnings: Vec<String>,
-    /// Nothing new can be made or connected in it, as the last warning says.
+    /// True: nothing new can be made or connected in it, as the last warning says.
     pub(super) unfit: bool,
 }
 
@@ -46,7 +46,7 @@ pub(super) struct ComponentView {
     pub(super) plugin_version: String,
     pub(super) state: String,
     pub(super) health: String,
-    /// Why it is in FAULT.
+    /// Reason why it is in FAULT.
     pub(super) fault: String,
     pub(super) config: Value,
     pub(super) execution: ExecutionView,
@@ -82,7 +82,7 @@ pub(super) struct ExecutionView {
     pub(super) on_failure: String,
     /// signal or poll; "" = not set.
     pub(super) wake: String,
-    /// Where it runs, in words.
+    /// Thread that it runs in, in words.
     pub(super) thread: String,
 }
 
@@ -107,7 +107,7 @@ pub(super) struct StatsView {
     /// Its place in its period; absent without a grid of its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) phase_ns: Option<u64>,
-    /// Nobody set that phase.
+    /// True: the phase was not set.
     pub(super) phase_auto: bool,
 }
 
@@ -135,7 +135,8 @@ pub(super) struct ConnectionView {
     pub(super) failed: u64,
     /// Commands that were only sent, and events, that never ran.
     pub(super) unexecuted: u64,
-    /// How each end is told that something has come: signal or poll; "" = it is called, or nothing comes.
+    /// Way in which each end is told that something has come: signal or poll; "" = it is called, or
+    /// nothing comes.
     pub(super) client_wake: String,
     pub(super) server_wake: String,
     /// Its halves, where its ends are in two processes: the client's, then the server's.
@@ -157,7 +158,7 @@ pub(super) struct ProxyView {
     pub(super) carrier: String,
 }
 
-/// What a connection was made with; what is absent is the default of the ports.
+/// Options of a connection; an absent one is the default of the ports.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct OptionsView {
     /// Samples; 0 = latest value.
@@ -172,13 +173,13 @@ pub(super) struct OptionsView {
     /// The client may step before the server on their grid.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub(super) delay: bool,
-    /// It was pinned to; "" = to none.
+    /// Carrier that it was pinned to; "" = none.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub(super) carrier: String,
 }
 
 impl ProcessView {
-    /// Where it is reached, or what it is that nobody reaches.
+    /// Returns the address of the process, or the kind of a guest, which has no address.
     pub(super) fn place(&self) -> String {
         match self.guest.as_str() {
             "" => self.endpoint.clone(),
@@ -211,7 +212,7 @@ impl ComponentView {
         }
     }
 
-    /// Its place in its period, and who says so; empty without a grid of its own.
+    /// Returns its place in its period, and whether that was set; empty without a grid of its own.
     pub(super) fn phase(&self) -> String {
         let who = if self.stats.phase_auto { "auto" } else { "as set" };
         let said = |ns| format!("{} of each period ({who})", super::units::time(ns));
@@ -235,7 +236,7 @@ impl ConnectionView {
         !self.carrier.is_empty() || self.depth > 0 || self.passed > 0
     }
 
-    /// What became of what was sent over it.
+    /// Returns the counts of what was sent over the connection.
     pub(super) fn figures(&self) -> String {
         let mut text = format!("passed {}, dropped {}, queue {}", self.passed, self.dropped, self.depth);
         if self.skipped > 0 {
@@ -254,14 +255,14 @@ impl ConnectionView {
         text
     }
 
-    /// How its ends are told that something has come; empty where nobody is.
+    /// Returns how its ends are told that something has come; empty where none is told.
     pub(super) fn wakes(&self) -> String {
         let said = [("client", &self.client_wake), ("server", &self.server_wake)];
         let said = said.iter().filter(|(_, wake)| !wake.is_empty());
         said.map(|(end, wake)| format!("wake of the {end}: {wake}")).collect::<Vec<_>>().join(", ")
     }
 
-    /// How its data travel, or that they do not.
+    /// Returns how its data travel, or that they do not.
     pub(super) fn way(&self) -> String {
         match self.not_linked() {
             Some(_) => "not linked".to_owned(),
@@ -270,7 +271,7 @@ impl ConnectionView {
         }
     }
 
-    /// Why the halves of a connection between processes are not linked.
+    /// Returns why the halves of a connection between processes are not linked.
     pub(super) fn not_linked(&self) -> Option<&str> {
         self.proxies.iter().find(|p| !p.linked).map(|p| p.why_not.as_str())
     }
@@ -479,11 +480,11 @@ pub(super) struct RowView {
     pub(super) frame_bytes: u64,
 }
 
-/// What WaitFor waited for.
+/// Result of WaitFor.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct WaitView {
     pub(super) path: String,
-    /// Of the component.
+    /// State of the component.
     pub(super) state: String,
     pub(super) health: String,
     /// Payload of an event; absent when a state was waited for.
@@ -522,7 +523,7 @@ pub(super) struct ChangeView {
 }
 
 impl ChangeView {
-    /// One line per thing that is new, different or gone.
+    /// Returns one line per thing that is new, different or gone.
     pub(super) fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for p in &self.processes {

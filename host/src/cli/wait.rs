@@ -1,6 +1,8 @@
-//! `trocar wait host/robot`: until a component is in a state; `trocar wait host/echo/ctl/done`: until it sends an event.
+//! `trocar wait host/robot`: until a component is in a state; `trocar wait host/echo/ctl/done`: until it
+//! sends an event.
 //!
-//! Invariant: it always ends by its deadline; with `--call` the event is listened for before the command is called.
+//! Invariant: it always ends by its deadline; with `--call` it listens for the event before it
+//! calls the command.
 
 use clap::{Args, ValueEnum};
 use serde_json::Value;
@@ -10,7 +12,7 @@ use super::session::Session;
 use super::typed::json_value;
 use super::{out, units};
 
-/// Longest time a GCM waits for somebody, ns.
+/// Longest time that a GCM lets a caller wait, ns.
 const MOST_NS: u64 = 60_000_000_000;
 
 /// Waits for a state or an event: `trocar wait host/robot`, `trocar wait host/echo/ctl/done --deadline 2s`.

@@ -1,12 +1,12 @@
-//! How long a call may take: what the caller says in `grpc-timeout`, never more than the server's cap.
+//! Duration of a call: the caller's `grpc-timeout`, never more than the server's cap.
 
 use std::time::{Duration, Instant};
 
 use tonic::Request;
 
-/// When the caller says nothing.
+/// Limit when the caller names none.
 const DEFAULT: Duration = Duration::from_secs(5);
-/// Whatever the caller says.
+/// Upper limit, whatever the caller says.
 pub(super) const CAP: Duration = Duration::from_secs(60);
 
 /// The moment by which this call must have its answer.
@@ -14,13 +14,13 @@ pub(super) fn deadline<T>(request: &Request<T>) -> Instant {
     callers(request).unwrap_or_else(|| Instant::now() + DEFAULT)
 }
 
-/// The same, when the caller says it.
+/// The caller's own deadline, if it names one.
 pub(super) fn callers<T>(request: &Request<T>) -> Option<Instant> {
     let asked = request.metadata().get("grpc-timeout").and_then(|v| v.to_str().ok()).and_then(parse);
     asked.map(|asked| Instant::now() + asked.min(CAP))
 }
 
-/// What is kept of a caller's time, so that the answer arrives before the caller gives up.
+/// Returns the part of the caller's time to keep back, so that the answer arrives before the caller gives up.
 pub(super) fn room(until: Instant) -> Duration {
     let left = until.saturating_duration_since(Instant::now());
     (left / 5).clamp(Duration::from_millis(60), Duration::from_millis(500)).min(left)

@@ -1,8 +1,8 @@
 //! The way to a port: by the socket beside it, else by TCP, with the token of the environment.
 //!
 //! Invariant: a socket is taken only from this user's own runtime directory, so nobody else can stand behind
-//! it. Nobody who asks by a door waits for ever: a host that stands still (its kernel still takes connections) is
-//! seen by pings it does not answer.
+//! it. A caller that asks by a door never waits for ever: a host that stands still (its kernel still takes
+//! connections) is found out by pings it does not answer.
 
 use std::time::Duration;
 
@@ -11,15 +11,16 @@ use tonic::transport::{Channel, Endpoint, Error};
 use super::caller::{Tokened, with_token};
 use crate::runtime_dir::{Door, RuntimeDir};
 
-/// While something is asked, a host that has said nothing for so long is pinged.
+/// During a request, a host that is silent for this long is pinged.
 const QUIET: Duration = Duration::from_secs(5);
 /// The connection ends where it does not answer within that.
 const ANSWERS: Duration = Duration::from_secs(5);
 
-/// Connects to `http://HOST:PORT`, by the socket beside it if `door` names one and it is there; `within` bounds each attempt.
+/// Connects to `http://HOST:PORT`: by the socket beside it if `door` names one that exists, else by TCP;
+/// `within` bounds each attempt.
 ///
 /// # Errors
-/// No address, nobody who listens there, or no answer in time.
+/// No address, no listener there, or no answer in time.
 pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tokened, Error> {
     if let Some(door) = door
         && let Some(channel) = beside(uri, door, within).await

@@ -1,9 +1,9 @@
 //! Sockets beside the port, in the user's runtime directory: one for calls, and one for Stop on a thread of
 //! its own.
 //!
-//! Invariant: only their user's programs and root's can reach them. Nothing that is asked at the port or at
-//! the first one takes anything that a Stop of this process's components at the second needs: not a file, not
-//! a connection, not a thread. A Stop for other processes goes to them as every order does.
+//! Invariant: only programs of their user and of root can reach them. No request at the port or at the first
+//! one takes anything that a Stop of this process's components at the second needs: not a file, not a
+//! connection, not a thread. A Stop for other processes goes to them as every order does.
 
 use std::io;
 use std::net::SocketAddr;
@@ -33,7 +33,7 @@ pub(super) struct Doors {
 }
 
 impl Doors {
-    /// Opens them beside the port `addr`. A port works without them: what could not be opened is logged.
+    /// Opens them beside the port `addr`. A port works without them: an error at opening is logged.
     pub(super) fn open(dir: &RuntimeDir, addr: SocketAddr, routes: &Routes) -> Doors {
         let (open, closing) = watch::channel(());
         let mut doors = Doors { dir: dir.clone(), addr, open: Some(open), calls: None };
@@ -50,8 +50,8 @@ impl Doors {
         // The thread ends with its socket; a call that hangs does not keep the process.
         let alone = move || lent.recv().map(|runtime| runtime.block_on(serving));
         house::spawn(thread::Builder::new().name("trocar-stop".into()), alone)?;
-        // Made here, so that its descriptors are there when the host counts what it has; dropped on the
-        // thread alone, as none may be inside another one.
+        // The runtime is made here, so that its descriptors exist when the host counts its own; it is dropped
+        // on the thread alone, because a runtime may not be dropped inside another one.
         let _ = lend.send(tokio::runtime::Builder::new_current_thread().enable_all().build()?);
         let calls = self.place(Door::Calls)?;
         self.calls = Some(tokio::spawn(serve(calls, routes.clone(), closing.clone())));
@@ -95,7 +95,7 @@ async fn serve(place: Place, routes: Routes, mut closing: watch::Receiver<()>) {
     let served = async {
         let incoming = Incoming::unix(place.wait()?, own_user());
         let closed = async move {
-            // Its sender only ever goes.
+            // The channel carries no value: only its sender goes.
             let _ = closing.changed().await;
         };
         let router = transport().add_routes(routes);

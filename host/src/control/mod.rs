@@ -1,6 +1,7 @@
 //! The gRPC edge: one port, thin methods, the only place that knows wire types on the serving side.
 //!
-//! Invariant: every refusal leaves through `status.rs`, every name enters through `convert`; a method decides nothing.
+//! Invariant: every refusal leaves through `status.rs`, every name enters through `convert`; methods decide
+//! nothing.
 
 mod attach;
 mod caller;

@@ -1,6 +1,7 @@
-//! Who holds the address this process was to listen on.
+//! The program that holds the address this process was to listen on.
 //!
-//! Invariant: it only asks, and for no longer than `PATIENCE`; what does not answer as trocar does is some other program.
+//! Invariant: this module only asks, and for no longer than `PATIENCE`; a listener that does not answer as
+//! trocar does is some other program.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -15,7 +16,7 @@ use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 /// Time all questions together may take.
 pub(super) const PATIENCE: Duration = Duration::from_millis(300);
 
-/// What listens at an address.
+/// The listener at an address.
 #[derive(Debug)]
 pub(super) enum Occupant {
     /// A host with a GCM of its own.
@@ -29,7 +30,7 @@ pub(super) enum Occupant {
 }
 
 impl Occupant {
-    /// The host it is, where that is known.
+    /// Returns the process of the host, where it is known.
     pub(super) fn process(&self) -> Option<&v1::Process> {
         match self {
             Occupant::Host(process) => Some(process),
@@ -39,7 +40,7 @@ impl Occupant {
     }
 }
 
-/// Asks the address who is there.
+/// Asks the address for its occupant.
 pub(super) async fn ask(addr: SocketAddr) -> Occupant {
     let until = Instant::now() + PATIENCE;
     let here = addr.to_string();
@@ -60,7 +61,7 @@ fn at(processes: Vec<v1::Process>, endpoint: &str) -> Option<v1::Process> {
     processes.into_iter().find(|process| process.endpoint == endpoint)
 }
 
-/// What the GCM at an address lists.
+/// Returns the processes that the GCM at an address lists.
 async fn processes(addr: &str, until: Instant) -> Result<Vec<v1::Process>, Status> {
     let asking = async {
         let uri = format!("http://{}", addr.trim_start_matches("http://"));

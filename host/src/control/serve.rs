@@ -1,7 +1,7 @@
 //! The port: binds, serves every service with reflection and health, and the viewer; stops gracefully.
 //!
-//! Invariant: only loopback addresses, whose callers the kernel knows; connections are bounded in size, number, number of streams
-//! and silence.
+//! Invariant: only loopback addresses, whose callers the kernel knows; connections are bounded in size,
+//! number, number of streams and silence.
 
 use std::fmt;
 use std::io::ErrorKind;
@@ -38,7 +38,7 @@ const MAX_STREAMS: u32 = 256;
 /// Time open calls get at shutdown.
 pub(super) const GRACE: Duration = Duration::from_secs(1);
 
-/// What a port serves.
+/// Services and settings of a port.
 pub struct ServeConfig {
     /// Address and port; port 0 takes a free one.
     pub listen: String,
@@ -48,7 +48,7 @@ pub struct ServeConfig {
     /// Address of the GCM that manages this process, when it is another's.
     pub managed_by: Option<String>,
     pub rules: PortRules,
-    /// The directory of sockets beside the port and of the user's token; `None`: neither is there.
+    /// Directory of the sockets beside the port and of the user's token; `None`: neither exists.
     pub runtime: Option<RuntimeDir>,
 }
 
@@ -130,7 +130,7 @@ impl Server {
         Ok(Server { addr, stop, doors, open, task, logging })
     }
 
-    /// Where it listens.
+    /// Returns the address it listens on.
     pub fn addr(&self) -> SocketAddr {
         self.addr
     }
@@ -139,7 +139,7 @@ impl Server {
     pub async fn shutdown(mut self) {
         // First: as soon as the port is free, another process's lead to its own.
         self.doors.iter_mut().for_each(Doors::close);
-        // A server that ended by itself has nobody listening.
+        // A server that ended by itself does not listen any more.
         let _ = self.stop.send(());
         drop(self.open);
         if let Some(logging) = self.logging {
@@ -151,7 +151,7 @@ impl Server {
         }
     }
 
-    /// Takes no more calls and leaves open ones to themselves; waits for nobody.
+    /// Takes no more calls and leaves open ones to themselves; does not wait.
     pub(crate) fn cut(self) {
         if let Some(logging) = &self.logging {
             logging.abort();
@@ -233,7 +233,7 @@ fn taken(addr: SocketAddr, own: Option<&Name>, occupant: &Occupant) -> ServeErro
     ServeError::Unusable { because: format!("{addr} is taken by {who}"), help }
 }
 
-/// The log lines this port shows, and who keeps them.
+/// Returns the log lines this port shows, and their keeper.
 fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>, Option<JoinHandle<()>>) {
     if let Some(gcm) = gcm {
         return (gcm.lines().clone(), None);

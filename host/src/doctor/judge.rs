@@ -1,11 +1,11 @@
-//! What the facts mean for a system, and what to do about them. Pure.
+//! Meaning of the facts for a system, and what to do about them. Pure.
 //!
 //! Invariant: every finding that is not fine says what it costs and how to allow more.
 
 use super::limits::Limit;
 use super::probe::Facts;
 
-/// How a finding stands.
+/// Verdict of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     Fine,
@@ -31,15 +31,15 @@ pub struct Finding {
     /// One word: "priority", "memlock", …
     pub what: &'static str,
     pub verdict: Verdict,
-    /// What was found, one line.
+    /// The observation, one line.
     pub found: String,
-    /// What it costs; empty when fine.
+    /// Its cost; empty when fine.
     pub means: String,
-    /// How to allow more; empty when fine.
+    /// A way to allow more; empty when fine.
     pub allow: String,
 }
 
-/// All findings, in the order a reader needs them.
+/// Returns all findings, in the order a reader needs them.
 pub fn judge(facts: &Facts) -> Vec<Finding> {
     vec![
         priority(facts),

@@ -7,9 +7,9 @@ use std::fs;
 /// One resource's soft and hard limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Limit {
-    /// What holds now; `None` = unlimited.
+    /// Limit that holds now; `None` = unlimited.
     pub soft: Option<u64>,
-    /// How far the process may raise it by itself; `None` = unlimited.
+    /// Limit up to which the process may raise it by itself; `None` = unlimited.
     pub hard: Option<u64>,
 }
 

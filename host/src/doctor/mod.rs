@@ -1,6 +1,7 @@
-//! What this machine allows a real-time process, and how to allow more.
+//! Rights that this machine gives a real-time process, and how to allow more.
 //!
-//! Invariant: `probe` only looks and tries, on threads of its own that end, and changes nothing; `judge` only decides.
+//! Invariant: `probe` only looks and tries, on threads of its own that end, and changes nothing;
+//! `judge` only decides.
 
 mod judge;
 mod limits;

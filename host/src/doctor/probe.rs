@@ -1,6 +1,7 @@
 //! Reads the machine and tries what a host would ask of it.
 //!
-//! Invariant: everything tried is undone: the threads end, the memory is given back, nothing is left in the system.
+//! Invariant: everything tried is undone: the threads end, the memory is given back, nothing is left
+//! in the system.
 
 use std::fs;
 use std::io::Read;
@@ -17,7 +18,7 @@ const PRIORITY: u8 = 80;
 /// Cycles of 1 ms that are watched.
 const CYCLES: usize = 400;
 
-/// What was found. Texts of refused trials are the system's own.
+/// Facts found. Texts of refused trials are the system's own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Facts {
     pub limits: Limits,
@@ -104,7 +105,7 @@ fn try_fifo() -> Result<(), String> {
     }
 }
 
-/// What the system said, without a remedy: which one helps here is judged later.
+/// Returns the system's message, without a remedy: which one helps here is judged later.
 fn refusal(e: &os::OsError) -> String {
     format!("{}: {}", e.asked, std::io::Error::from_raw_os_error(e.errno))
 }

@@ -1,6 +1,7 @@
-//! How punctually this machine wakes a thread: a bare loop of absolute deadlines, nothing of trocar in it.
+//! Punctuality of this machine's thread wake-ups: a bare loop of absolute deadlines, nothing of trocar in it.
 //!
-//! Invariant: the same call the executors sleep with, so the figures are the floor of every component's lateness.
+//! Invariant: the loop makes the same call that the executors sleep with, so the figures are the floor of
+//! every component's lateness.
 
 use std::thread;
 
@@ -14,7 +15,8 @@ pub(super) struct Lateness {
     pub(super) max_ns: u64,
 }
 
-/// Sleeps `cycles` times until the next of the deadlines `period_ns` apart, at `priority` where it is granted.
+/// Sleeps `cycles` times until the next of the deadlines `period_ns` apart, at `priority` where
+/// it is granted.
 pub(super) fn lateness(cycles: usize, period_ns: u64, priority: Option<u8>) -> Option<Lateness> {
     let thread = thread::Builder::new().name("doctor".into()).spawn(move || {
         // Refused settings are other findings; here only the times count.

@@ -15,18 +15,18 @@ use tokio::net::UnixStream;
 use super::HostError;
 use crate::runtime_dir::{Place, Placed, RuntimeDir, pid_of};
 
-/// How long a process may take to stop its components.
+/// Time that a process may take to stop its components.
 const PATIENCE: Duration = Duration::from_secs(5);
 const STOP: &str = "stop\n";
 
 /// This process's socket; removed on drop.
 pub(super) struct Announcement(Placed);
 
-/// What one process answered.
+/// Answer of one process.
 #[derive(Clone, Debug)]
 pub(crate) struct Answer {
     pub(crate) pid: u32,
-    /// Its words: Ok when everything stands still.
+    /// Text of the answer: Ok when everything stands still.
     pub(crate) result: Result<String, String>,
 }
 
@@ -122,7 +122,7 @@ async fn stop_everything_in(dir: &RuntimeDir) -> Vec<Answer> {
     answers
 }
 
-/// `None`: nobody lives behind this socket any more.
+/// Asks one process; `None`: no process listens at this socket any more.
 async fn ask(path: &Path) -> Option<Answer> {
     let pid = pid_of(path)?;
     let mut stream = match UnixStream::connect(path).await {

@@ -16,7 +16,7 @@ use super::Host;
 use crate::gcm::{ExecuteOptions, Executed, Gcm};
 use crate::lcm::{Detail, Invoke, Item, Lcm, Payload, Reply, Sample, Selection, When};
 
-/// Who asks, in the audit line.
+/// Name of the caller in the audit line.
 const IDENTITY: &str = "its own program";
 /// Time a call or a read gets.
 const WITHIN: Duration = Duration::from_secs(1);
@@ -25,8 +25,8 @@ impl Host {
     /// Carries out one request; 5 s at most.
     ///
     /// # Errors
-    /// Whatever plan or component refuses, then nothing has changed; ManagedElsewhere for a host that is attached to
-    /// another process's GCM.
+    /// The refusal of the plan or of a component; nothing has changed then. ManagedElsewhere for a host that
+    /// is attached to another process's GCM.
     pub async fn execute(&self, request: Request) -> Result<Executed, Refusal> {
         self.apply(vec![request]).await
     }
@@ -45,7 +45,7 @@ impl Host {
             .unwrap_or_else(|e| Err(Refusal::Internal { text: format!("the request panicked: {e}") }))
     }
 
-    /// What [`Host::apply`] would do, decided and not done: [`Executed::plan`] has the changes.
+    /// Decides what [`Host::apply`] would do, and does not do it: [`Executed::plan`] has the changes.
     ///
     /// # Errors
     /// As [`Host::execute`].
@@ -86,8 +86,8 @@ impl Host {
         self.execute(Request::Configure { id: ComponentId::parse(path)?, patch, execution: None }).await
     }
 
-    /// Changes settings, and where the component's thread comes from; unset fields of `execution` keep what they are. A
-    /// change of them makes the component anew.
+    /// Changes settings, and where the component's thread comes from; unset fields of `execution` keep their
+    /// values. A change of `execution` makes the component anew.
     ///
     /// # Errors
     /// As [`Host::execute`].
@@ -193,8 +193,8 @@ impl Host {
         self.execute(Request::Disconnect { which: Which::Pair { client, server } }).await
     }
 
-    /// Calls a command, `process/component/interface/command`, and waits for its answer, 1 s at most. `Value::Null`: no
-    /// argument.
+    /// Calls a command, `process/component/interface/command`, and waits for its answer, 1 s at most.
+    /// `Value::Null`: no argument.
     ///
     /// # Errors
     /// The outcome, when it is none of executed and queued.
@@ -226,7 +226,7 @@ impl Host {
         let deadline_ns = u64::try_from(within.as_nanos()).unwrap_or(u64::MAX).max(1);
         let reply = lcm.invoke(Invoke { member, arg, send, deadline_ns }).await;
         if let (Err(_), Some(gcm)) = (&reply, self.gcm()) {
-            // Who is told that a command panicked finds the component in FAULT.
+            // A caller that is told that a command panicked finds the component in FAULT.
             gcm.hear_out(&process).await;
         }
         reply
@@ -235,7 +235,7 @@ impl Host {
     /// Reads without a command: the state row of a component, or the newest sample of an output.
     ///
     /// # Errors
-    /// What is not there is named, and what is.
+    /// The refusal names what is not there, and what is.
     pub async fn read(&self, path: &str) -> Result<Sample, Refusal> {
         self.read_at(path, When::Newest).await
     }
@@ -243,13 +243,13 @@ impl Host {
     /// [`Host::read`] of an earlier row: at a tick, at a time, or so many rows ago.
     ///
     /// # Errors
-    /// As [`Host::read`]; what is kept no more, or not there yet, is told with what is.
+    /// As [`Host::read`]; a row that is kept no more, or is not there yet, is refused with those that are.
     pub async fn read_at(&self, path: &str, when: When) -> Result<Sample, Refusal> {
         self.lcm_of(&process_of(path)?)?.read(path.to_owned(), when, false, Instant::now() + WITHIN).await
     }
 
-    /// Follows an event, an output or a component's state until the receiver is dropped: each event and each change of state,
-    /// but of an output its newest sample, 30 times a second at most.
+    /// Follows an event, an output or a component's state until the receiver is dropped. It gives each event
+    /// and each change of state, but of an output the newest sample, 30 times a second at most.
     ///
     /// # Errors
     /// As [`Host::read`].
@@ -257,8 +257,9 @@ impl Host {
         self.subscribe_at(path, 0.0).await
     }
 
-    /// [`Host::subscribe`] with another limit for an output, samples per second: 0.01 to 1000 Hz; 0 is the usual one. What is
-    /// written faster is left out; a component that must have each sample takes them by a queued input.
+    /// [`Host::subscribe`] with another limit for an output, samples per second: 0.01 to 1000 Hz; 0 is the
+    /// usual one. Samples that are written faster are left out; a component that must have each sample takes
+    /// them by a queued input.
     ///
     /// # Errors
     /// As [`Host::read`]; a limit that is negative or no number.
@@ -324,7 +325,8 @@ impl Host {
     /// Waits until a component is in `state`.
     ///
     /// # Errors
-    /// NotReached at the end of `within`; ComponentFault at once when it goes into FAULT instead; ComponentNotFound.
+    /// NotReached at the end of `within`; ComponentFault at once when it goes into FAULT instead;
+    /// ComponentNotFound.
     pub async fn wait_for(&self, path: &str, state: State, within: Duration) -> Result<(), Refusal> {
         let id = ComponentId::parse(path)?;
         self.manager()?.wait_for(&id, &[state], Instant::now() + within).await.map(drop)
@@ -333,7 +335,8 @@ impl Host {
     /// Waits until a component sends an event, `process/component/interface/event`, after this is called.
     ///
     /// # Errors
-    /// EventNotSeen at the end of `within`; ComponentFault and ComponentNotFound at once, when it cannot come.
+    /// EventNotSeen at the end of `within`; ComponentFault and ComponentNotFound at once, when
+    /// it cannot come.
     pub async fn wait_for_event(&self, path: &str, within: Duration) -> Result<Item, Refusal> {
         let member = MemberId::parse(path)?;
         self.manager()?.listen(&member, Instant::now() + within).await?.event().await

@@ -1,6 +1,7 @@
-//! What a host is made from, as plain data, and the builder that fills it in.
+//! Configuration of a host, as plain data, and the builder that fills it in.
 //!
-//! Invariant: [`HostConfig::start`] is the only way to a host with components, for the command line and for programs alike.
+//! Invariant: [`HostConfig::start`] is the only way to a host with components, for the command line and for
+//! programs alike.
 
 use std::path::PathBuf;
 
@@ -11,7 +12,7 @@ use trocar_plugin_api::abi::StaticPlugin;
 use super::{Host, HostError, MemoryBounds, StateChoice};
 use crate::control::{PortRules, Viewer};
 
-/// What a host is made from.
+/// Configuration of a host.
 #[derive(Clone, Debug)]
 pub struct HostConfig {
     pub name: Name,
@@ -28,7 +29,8 @@ pub struct HostConfig {
     pub rules: PortRules,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,
-    /// Wait for that GCM when it does not answer yet, or still takes an earlier incarnation of this process for alive.
+    /// Wait for that GCM when it does not answer yet, or still takes an earlier incarnation of this
+    /// process for alive.
     pub await_gcm: bool,
     pub trust: Trust,
     /// The `trocar` program that tries plugin files out in a child process; `None`: it is looked for, see
@@ -38,12 +40,13 @@ pub struct HostConfig {
     pub lock_memory: bool,
     /// Components may start programs, as this process's user.
     pub allow_exec: bool,
-    /// How much memory the process may use.
+    /// Bounds of the memory that the process may use.
     pub memory: MemoryBounds,
 }
 
 impl HostConfig {
-    /// No plugins, no port, an ephemeral state directory, a GCM of its own.
+    /// Makes a configuration without plugins and port, with an ephemeral state directory and a
+    /// GCM of its own.
     pub fn new(name: Name) -> HostConfig {
         HostConfig {
             name,
@@ -80,8 +83,8 @@ pub struct HostBuilder {
 }
 
 impl Host {
-    /// A host inside a program, named `host` unless told otherwise: no plugins, no port, an ephemeral state directory and
-    /// a GCM of its own, until the builder is told otherwise.
+    /// Builds a host inside a program. Unless the builder is told otherwise, it is named `host` and has no
+    /// plugins, no port, an ephemeral state directory and a GCM of its own.
     ///
     /// ```
     /// # tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap().block_on(async {
@@ -123,19 +126,20 @@ impl HostBuilder {
         self.with(|c| c.listen = Some(addr.into()))
     }
 
-    /// What the viewer's page at that address may do.
+    /// Sets what the viewer's page at that address may do.
     #[must_use]
     pub fn viewer(self, viewer: Viewer) -> Self {
         self.with(|c| c.rules.viewer = viewer)
     }
 
-    /// Lets whoever reaches that address do everything, other users of the machine, too. Without it they only read.
+    /// Lets every caller that reaches that address do everything, other users of the machine, too. Without it
+    /// they only read.
     #[must_use]
     pub fn open_loopback(self, open: bool) -> Self {
         self.with(|c| c.rules.open_loopback = open)
     }
 
-    /// Where it keeps its state.
+    /// Sets where the host keeps its state.
     #[must_use]
     pub fn state(self, state: StateChoice) -> Self {
         self.with(|c| c.state = state)
@@ -153,20 +157,21 @@ impl HostBuilder {
         self.with(|c| c.gcm = Some(addr.into()))
     }
 
-    /// Which plugin files are taken.
+    /// Sets which plugin files are taken.
     #[must_use]
     pub fn trust(self, trust: Trust) -> Self {
         self.with(|c| c.trust = trust)
     }
 
-    /// The `trocar` program in whose child process plugin files are tried out before this program maps them. Unset: this
-    /// program if it is `trocar` itself, else `trocar` beside it, else in `PATH`.
+    /// Sets the `trocar` program in whose child process plugin files are tried out before this program maps
+    /// them. Unset: this program if it is `trocar` itself, else `trocar` beside it, else in `PATH`.
     #[must_use]
     pub fn vet_with(self, program: impl Into<PathBuf>) -> Self {
         self.with(|c| c.vet_with = Some(program.into()))
     }
 
-    /// Keeps all memory of the process resident; what the machine refuses is said in the log, and the host starts.
+    /// Keeps all memory of the process resident. A refusal of the machine is written to the log, and
+    /// the host starts.
     #[must_use]
     pub fn lock_memory(self, lock: bool) -> Self {
         self.with(|c| c.lock_memory = lock)
@@ -178,17 +183,19 @@ impl HostBuilder {
         self.with(|c| c.allow_exec = allow)
     }
 
-    /// From where on the process is warned of the memory it uses, and how much it gets at most: a limit of the whole program.
+    /// Sets from where on the process is warned of the memory it uses, and how much it gets at most: a limit
+    /// of the whole program.
     #[must_use]
     pub fn memory(self, bounds: MemoryBounds) -> Self {
         self.with(|c| c.memory = bounds)
     }
 
-    /// Starts it. Call it inside a tokio runtime with clock and network (`enable_all`); when that ends before the host, the
-    /// components run on until the host is dropped, but nothing can be asked of it any more.
+    /// Starts the host. Call it inside a tokio runtime with clock and network (`enable_all`). When the
+    /// runtime ends before the host, the components run on until the host is dropped, but nothing can be
+    /// asked of it any more.
     ///
     /// # Errors
-    /// As [`HostConfig::start`]; a name that is none; no such runtime.
+    /// As [`HostConfig::start`]; an invalid name; no such runtime.
     pub async fn start(self) -> Result<Host, HostError> {
         self.config?.start().await
     }

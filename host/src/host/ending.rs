@@ -1,7 +1,7 @@
 //! The end of a host: devices safe first, then everything else, whichever way the host comes to it.
 //!
-//! Invariant: a thread made with the host does it, on a clock of its own. Ending therefore needs no runtime, no new thread, and
-//! nobody who waits for it.
+//! Invariant: a thread made with the host ends it, on a clock of its own. Ending therefore needs no runtime,
+//! no new thread, and no caller that waits for it.
 
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,12 +17,12 @@ use super::{HostError, StateDir};
 use crate::control::Server;
 use crate::lcm::{LocalLcm, let_go_of_descriptors};
 
-/// How long components may take to stand still at the end.
+/// Time that components may take to stand still at the end.
 pub(super) const SHUTDOWN: Duration = Duration::from_secs(5);
-/// How long whoever drops a host waits for its end: components that hang are given up before.
+/// Time that a dropping thread waits for the host's end: components that hang are given up before.
 const DROPPED: Duration = Duration::from_secs(10);
 
-/// What is to be ended, as far as it was started.
+/// Parts of a host to end, as far as they were started.
 pub(super) struct Running {
     pub(super) lcm: Option<Arc<LocalLcm>>,
     pub(super) uplink: Option<JoinHandle<()>>,
@@ -32,12 +32,12 @@ pub(super) struct Running {
     pub(super) state: Arc<StateDir>,
 }
 
-/// How open calls of the port end.
+/// Ways to end open calls of the port.
 #[derive(Clone, Copy)]
 enum How {
-    /// They get a moment, so that a caller can see the end happen.
+    /// The calls get a moment, so that a caller can see the end happen.
     Orderly,
-    /// At once: whoever would carry them on may stand still until this is over.
+    /// At once: the thread that would carry the calls on may stand still until this is over.
     Abrupt,
 }
 
@@ -46,7 +46,7 @@ pub(super) struct Ending {
     running: Arc<Mutex<Running>>,
     order: mpsc::Sender<How>,
     ended: watch::Receiver<bool>,
-    /// Closed with the thread, which sends nothing.
+    /// Closed with the thread, which sends nothing over it.
     alive: Mutex<mpsc::Receiver<()>>,
 }
 
@@ -82,13 +82,13 @@ impl Ending {
 
     /// Ends it and waits; any number of times, from anywhere.
     pub(super) async fn end(&self) {
-        // A thread that has ended has nobody listening.
+        // A thread that has ended does not listen.
         let _ = self.order.send(How::Orderly);
         // An error means the same: the thread is gone.
         let _ = self.ended.clone().wait_for(|ended| *ended).await;
     }
 
-    /// As `end`, for a thread that may be one of a runtime's, and not for ever.
+    /// As `end`, but blocks, since the caller may be a thread of a runtime, and gives up after a while.
     pub(super) fn end_now(&mut self) {
         let _ = self.order.send(How::Abrupt);
         let alive = self.alive.get_mut().unwrap_or_else(PoisonError::into_inner);
@@ -118,7 +118,7 @@ async fn end(running: &Mutex<Running>, how: How) {
     if let Some(task) = uplink {
         task.abort();
         if matches!(how, How::Orderly) {
-            // Aborted is what it is meant to be; a runtime that stands still does not come to it.
+            // The task is to end as aborted; a runtime that stands still does not get to it.
             let _ = tokio::time::timeout(Duration::from_secs(1), task).await;
         }
     }

@@ -1,6 +1,7 @@
 //! Why a host does not start.
 //!
-//! Invariant: each sentence names what was asked for and each help says what to do; nothing is left half made.
+//! Invariant: each sentence names what was asked for, and each help says what to do; nothing is
+//! left half made.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -17,7 +18,7 @@ pub enum HostError {
         dir: PathBuf,
         pid: String,
     },
-    /// Its files were removed, and the process that uses it runs on.
+    /// The directory's files were removed, and the process that uses it runs on.
     StateHeld {
         dir: PathBuf,
     },
@@ -33,11 +34,11 @@ pub enum HostError {
         mib: u32,
         because: String,
     },
-    /// It was not started inside a tokio runtime that can serve it.
+    /// The host was not started inside a tokio runtime that can serve it.
     NoRuntime {
         lacks: &'static str,
     },
-    /// What the process was to be called is no name.
+    /// The name given for the process is not a valid name.
     BadName {
         name: String,
         because: String,
@@ -56,7 +57,7 @@ pub enum HostError {
         because: String,
         help: String,
     },
-    /// Nobody answers where `--gcm` points.
+    /// No GCM answers where `--gcm` points.
     NoGcm {
         addr: String,
         because: String,
@@ -93,7 +94,7 @@ impl HostError {
         }
     }
 
-    /// What to do.
+    /// Returns the advice: what to do.
     pub fn help(&self) -> String {
         match self {
             HostError::StateInUse { .. } | HostError::StateHeld { .. } => {

@@ -11,11 +11,11 @@ use rustix::process::{Resource, getrlimit};
 
 use crate::lcm::{Concern, LocalLcm};
 
-/// Between two looks.
+/// Pause between two looks.
 const LOOK: Duration = Duration::from_secs(1);
 /// A connection, a plugin, a recording need several files at once: fewer than this are as good as none.
 const NONE: u64 = 8;
-/// So many free ones take the warning back, so that it does not come and go.
+/// Number of free files that take the warning back, so that it does not come and go.
 const BACK: u64 = 32;
 
 /// Looks after them as long as the LCM is there.
@@ -36,7 +36,7 @@ async fn watch(lcm: Weak<LocalLcm>, mut list: Dir) {
         looks.tick().await;
         let Some(lcm) = lcm.upgrade() else { return };
         let Some(limit) = getrlimit(Resource::Nofile).current else { continue };
-        // Closed by somebody, the list is of no use any more.
+        // Once another part of the program has closed the list, it is of no use any more.
         let Some(open) = count(&mut list) else { return };
         if let Some(warning) = judge(&mut told, open, limit) {
             warning.iter().for_each(|warning| log::error!("{warning}"));

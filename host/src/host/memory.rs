@@ -1,6 +1,7 @@
-//! How much memory a process may use: from where on it is told, and where it ends.
+//! Bounds of a process's memory: one from where on it is warned, and one where it ends.
 //!
-//! Invariant: whoever takes too much ends alone, by the kernel's refusal; nothing here takes part in what components do.
+//! Invariant: a process that takes too much ends alone, by the kernel's refusal; nothing here takes part in
+//! the work of components.
 
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -13,14 +14,14 @@ use crate::lcm::{Concern, LocalLcm};
 /// Bounds of one process's memory, MiB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MemoryBounds {
-    /// It is listed with a warning while it has more than this resident.
+    /// Resident memory above which the process is listed with a warning.
     pub warn_mib: Option<u32>,
-    /// More than this of its own it does not get (`RLIMIT_DATA`: heap and stacks as asked for, without memory that processes
-    /// share): what asks for more ends the process.
+    /// Most memory of its own (`RLIMIT_DATA`: heap and stacks as asked for, without memory that processes
+    /// share); a request for more ends the process.
     pub limit_mib: Option<u32>,
 }
 
-/// Between two looks.
+/// Pause between two looks.
 const LOOK: Duration = Duration::from_millis(250);
 /// Part of the bound below which a warning is taken back, so that it does not come and go.
 const BACK: f64 = 0.9;
@@ -69,7 +70,7 @@ async fn watch(lcm: Weak<LocalLcm>, warn_mib: u32, limit_mib: Option<u32>) {
     }
 }
 
-/// What there is to warn of from now on; `None`: as before.
+/// Returns the change of the warning; `None`: as before.
 fn judge(told: &mut bool, used_mib: f64, warn_mib: u32, limit_mib: Option<u32>) -> Option<Option<String>> {
     let bound = f64::from(warn_mib) * if *told { BACK } else { 1.0 };
     let beyond = used_mib > bound;
@@ -86,7 +87,7 @@ fn judge(told: &mut bool, used_mib: f64, warn_mib: u32, limit_mib: Option<u32>) 
     Some(beyond.then(warning))
 }
 
-/// What the process has resident now, MiB; `None` where the kernel does not tell.
+/// Returns the resident memory of the process now, MiB; `None` where the kernel does not tell.
 fn resident_mib() -> Option<f64> {
     let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
     let pages: f64 = statm.split_whitespace().nth(1)?.parse().ok()?;

@@ -1,7 +1,8 @@
 //! `Host`: one process of a system, from its state directory up to its gRPC port.
 //!
-//! Invariant: start makes everything or nothing, and each part is in the hands of what ends it before the next one is made;
-//! the end makes devices safe before it closes the port, so that a caller can see it happen.
+//! Invariant: start makes everything or nothing: each part is given to the thread that ends it before
+//! the next one is made. The end makes devices safe before it closes the port, so that a caller can
+//! see it happen.
 
 use std::future::pending;
 use std::net::SocketAddr;
@@ -24,20 +25,20 @@ use crate::runtime_dir::RuntimeDir;
 
 /// A running process of a system.
 ///
-/// However it is let go, its components are made safe, stopped and destroyed: by [`Host::shutdown`], and by dropping it, be
-/// that at an early return, in a panic, outside its runtime or after that has ended. Only `std::process::exit`, `abort`
-/// and `std::mem::forget` pass by that.
+/// Its components are made safe, stopped and destroyed however the host is let go: by [`Host::shutdown`], or
+/// by dropping it, be that at an early return, in a panic, outside its runtime or after that has ended. Only
+/// `std::process::exit`, `abort` and `std::mem::forget` pass by that.
 pub struct Host {
     /// A GCM process has none.
     lcm: Option<Arc<LocalLcm>>,
     gcm: Option<Gcm>,
     uplink: Option<Uplink>,
-    /// Where the GCM is when it is another process's.
+    /// Address of the GCM when it is another process's.
     managed_by: Option<String>,
     /// A host inside a program may listen nowhere.
     addr: Option<SocketAddr>,
     state: Arc<StateDir>,
-    /// What it was to be is there; before that it leaves nothing behind.
+    /// True: everything that the host was to be is there; before that it leaves nothing behind.
     is_up: bool,
     ending: Ending,
 }
@@ -67,7 +68,7 @@ impl Host {
         host.if_up(done).await
     }
 
-    /// Nothing yet but the directory, and what ends the rest.
+    /// Makes a host with nothing yet but the directory, and the thread that ends the rest.
     fn in_directory(state: &StateChoice, fresh: bool) -> Result<Self, HostError> {
         let state = Arc::new(StateDir::open(state, fresh)?);
         let ending = Ending::prepare(state.clone()).inspect_err(|_| state.undo())?;
@@ -83,7 +84,7 @@ impl Host {
         })
     }
 
-    /// All of it or, when something was refused, nothing.
+    /// Returns the whole host or, when something was refused, takes everything back.
     async fn if_up(mut self, done: Result<(), HostError>) -> Result<Self, HostError> {
         match done {
             Ok(()) => {
@@ -193,7 +194,7 @@ impl Host {
         Ok(())
     }
 
-    /// Where it listens, or did; `None` for a host without a port.
+    /// Returns the address that it listens on, or did; `None` for a host without a port.
     pub fn addr(&self) -> Option<SocketAddr> {
         self.addr
     }
@@ -203,17 +204,17 @@ impl Host {
         self.managed_by.as_deref()
     }
 
-    /// Its own GCM, unless it is attached to another.
+    /// Returns its own GCM, unless it is attached to another.
     pub fn gcm(&self) -> Option<&Gcm> {
         self.gcm.as_ref()
     }
 
-    /// Its LCM; a GCM process has none.
+    /// Returns its LCM; a GCM process has none.
     pub fn lcm(&self) -> Option<&Arc<LocalLcm>> {
         self.lcm.as_ref()
     }
 
-    /// Where the program's own log lines are kept for `Logs`, under the name of its process.
+    /// Returns the function that keeps the program's own log lines for `Logs`, under the name of its process.
     pub(crate) fn own_lines(&self) -> impl Fn(LogLine) + Send + use<> {
         let gcm = self.gcm.as_ref().map(|gcm| gcm.lines().clone());
         let lcm = self.lcm.as_ref().map(Arc::downgrade);
@@ -228,7 +229,7 @@ impl Host {
         }
     }
 
-    /// Its state directory.
+    /// Returns its state directory.
     pub fn state_dir(&self) -> &StateDir {
         &self.state
     }
@@ -241,7 +242,7 @@ impl Host {
     /// Ends when the process is asked to end, or when the GCM it attached to sends it away for good.
     ///
     /// # Errors
-    /// Why the GCM sent it away.
+    /// The reason why the GCM sent it away.
     pub async fn until_asked_to_stop(&mut self, stop: &mut StopRequest) -> Result<(), HostError> {
         let uplink = self.uplink.as_mut();
         let refused = async {
@@ -256,9 +257,9 @@ impl Host {
         }
     }
 
-    /// Stops components, devices safe first, then everything else; comes back when that is done, after 5 s and a little more
-    /// when components hang. May be called any number of times, by several at once, and from any runtime or none; once
-    /// begun it goes on, also when nobody waits for it any more.
+    /// Stops components, devices safe first, then everything else. Comes back when that is done, after 5 s
+    /// and a little more when components hang. May be called any number of times, by several callers at once,
+    /// and from any runtime or none. Once begun it goes on, also when nobody waits for it any more.
     ///
     /// Dropping the host does the same and blocks the thread meanwhile, but cuts open calls of the port.
     pub async fn shutdown(&self) {
@@ -276,12 +277,12 @@ impl Drop for Host {
 }
 
 /// # Errors
-/// No tokio runtime is around, or one that lacks clock or network.
+/// There is no tokio runtime, or one that lacks clock or network.
 fn needs_runtime() -> Result<(), HostError> {
     if tokio::runtime::Handle::try_current().is_err() {
         return Err(HostError::NoRuntime { lacks: "there is none around" });
     }
-    // Tokio tells what a runtime has only by panicking over what it has not.
+    // Tokio tells which drivers a runtime has only by panicking over those that are missing.
     let panics = |probe: fn()| catch_unwind(AssertUnwindSafe(probe)).is_err();
     if panics(|| drop(tokio::time::sleep(Duration::ZERO))) {
         return Err(HostError::NoRuntime { lacks: "this one has no clock" });

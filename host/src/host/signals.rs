@@ -1,7 +1,7 @@
 //! Ctrl-C and SIGTERM.
 //!
-//! Invariant: heard from the first moment on, so that nothing is cut off half started; the first one asks for an orderly
-//! end, a second one ends the process at once, so a person is never held.
+//! Invariant: signals are heard from the first moment on, so that nothing is cut off half started. The first
+//! one asks for an orderly end, a second one ends the process at once, so a person is never held.
 
 use std::io::{ErrorKind, Read};
 use std::sync::Arc;
@@ -15,13 +15,13 @@ use trocar_rt::house;
 /// Exit code of a program that was interrupted.
 const INTERRUPTED: i32 = 130;
 
-/// How long a process may take to end once whoever keeps it is gone; then it is cut off.
+/// Time that a process may take to end once its keeper is gone; then it is cut off.
 const ORPHANED: Duration = Duration::from_secs(20);
 
-/// Standard input leads to whoever keeps this process, and hears what it says.
+/// True: standard input leads to the keeper of this process, and carries what the process says to it.
 static TIED: AtomicBool = AtomicBool::new(false);
 
-/// Whether somebody asked this process to end.
+/// Request to this process to end.
 #[derive(Clone, Debug)]
 pub struct StopRequest {
     tell: Arc<watch::Sender<bool>>,
@@ -29,7 +29,8 @@ pub struct StopRequest {
 }
 
 impl StopRequest {
-    /// Begins to listen to Ctrl-C, SIGTERM and hang-up; call it inside a tokio runtime, before anything is started.
+    /// Begins to listen to Ctrl-C, SIGTERM and hang-up; call it inside a tokio runtime, before
+    /// anything is started.
     pub fn listen() -> Self {
         let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
         let mut signals: Vec<Signal> = kinds.into_iter().filter_map(|kind| signal(kind).ok()).collect();
@@ -38,9 +39,9 @@ impl StopRequest {
         let teller = tell.clone();
         tokio::spawn(async move {
             next(&mut signals).await;
-            // A process that ends without this word was asked by nobody.
+            // A process that ends without this word was not asked to end.
             say_to_keeper("{\"ending\":true}");
-            // Kept open until the end, whoever listens.
+            // The sender stays open until the end.
             teller.send_replace(true);
             next(&mut signals).await;
             std::process::exit(INTERRUPTED);
@@ -48,8 +49,8 @@ impl StopRequest {
         Self { tell, asked }
     }
 
-    /// Also asks when standard input is closed: the kernel does that when whoever holds its other end is gone, however
-    /// that came about.
+    /// Also asks when standard input is closed: the kernel does that when the holder of its other end is
+    /// gone, for whatever reason.
     ///
     /// # Errors
     /// The machine gives no more threads.
@@ -60,13 +61,14 @@ impl StopRequest {
             while comes(&mut std::io::stdin().lock()) {}
             tell.send_replace(true);
             std::thread::sleep(ORPHANED);
-            // A component that never comes back would keep it for ever, and nobody is there to end it.
+            // A component that never comes back would keep the process for ever, with nobody there to end it.
             std::process::abort();
         };
         house::spawn(std::thread::Builder::new().name("trocar-tie".into()), wait).map(|_| ())
     }
 
-    /// Also asks when standard input is closed before anything came over it: whoever waits for this process then has gone.
+    /// Also asks when standard input is closed before anything came over it: then the program that waits for
+    /// this process has gone.
     ///
     /// # Errors
     /// The machine gives no more threads.
@@ -83,13 +85,14 @@ impl StopRequest {
     /// Ends when the process is asked to end; at once when it already was.
     pub async fn asked(&mut self) {
         if self.asked.wait_for(|asked| *asked).await.is_err() {
-            // Nobody can ask any more.
+            // Without a sender no request can come any more.
             std::future::pending::<()>().await;
         }
     }
 }
 
-/// Says a line to whoever keeps this process, over the tie. Where that is none, or only read from, nobody hears it.
+/// Says a line to the keeper of this process, over the tie. Without a tie, or over one that is only read
+/// from, nobody hears it.
 pub fn say_to_keeper(line: &str) {
     if !TIED.load(Ordering::Acquire) {
         return;
@@ -105,7 +108,7 @@ pub fn say_to_keeper(line: &str) {
     }
 }
 
-/// False: it is closed. A signal handler of a plugin's that interrupts the wait closes nothing.
+/// Waits for input; false: it is closed. A plugin's signal handler that interrupts the wait closes nothing.
 fn comes(stdin: &mut impl Read) -> bool {
     loop {
         match stdin.read(&mut [0; 256]) {

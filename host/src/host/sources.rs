@@ -1,7 +1,7 @@
-//! Where a host's classes come from: plugins linked into the program, plugin files, or both.
+//! Sources of a host's classes: plugins linked into the program, plugin files, or both.
 //!
-//! Invariant: a host that watches no directory touches no plugin file; one that does knows, before it starts, the program
-//! that tries them out.
+//! Invariant: a host that watches no directory touches no plugin file. One that watches a directory knows,
+//! before it starts, the program that tries the files out.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(super) fn open(config: &HostConfig, state: &StateDir) -> Result<Sources, Hos
 
 fn open_store(config: &HostConfig, state: &StateDir) -> Result<Arc<PluginStore>, HostError> {
     let program = vetting_program(config.vet_with.as_deref())?;
-    // Whole paths: whoever is told of one, such as a saved system, may be elsewhere.
+    // Absolute paths: a reader of them, such as that of a saved system, may be elsewhere.
     let whole = |dir: &PathBuf| std::path::absolute(dir).unwrap_or_else(|_| dir.clone());
     let dirs = config.plugins.iter().map(whole).collect();
     let mut store = PluginStoreConfig::new(dirs, state.path().to_owned(), program);
@@ -42,7 +42,8 @@ fn open_store(config: &HostConfig, state: &StateDir) -> Result<Arc<PluginStore>,
     Ok(PluginStore::open(store)?)
 }
 
-/// The program that knows how to try out a plugin file. A program that embeds a host does not: it would be started anew.
+/// Returns the program that knows how to try out a plugin file. A program that embeds a host does not: it
+/// would be started anew.
 fn vetting_program(asked: Option<&Path>) -> Result<PathBuf, HostError> {
     if let Some(program) = asked {
         return match program.is_file() || program.as_os_str().as_encoded_bytes().ends_with(b" (deleted)") {

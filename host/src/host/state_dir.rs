@@ -1,7 +1,8 @@
-//! Where a process keeps its state, and the lock that keeps a second process out of it.
+//! The state directory of a process, and the lock that keeps a second process out of it.
 //!
-//! Invariant: a directory has one user at a time (an OS lock, released by the kernel when the process ends however it
-//! ends), also when its files were removed under that user; an ephemeral directory is gone after its process.
+//! Invariant: a directory has one user at a time, also when its files were removed under that user. An OS
+//! lock ensures that; the kernel releases it when the process ends, however it ends. An ephemeral directory
+//! is gone after its process.
 
 use std::fs::{self, DirBuilder, File};
 use std::io::{ErrorKind, Read, Seek, Write};
@@ -25,7 +26,7 @@ const STARTING: Duration = Duration::from_secs(60);
 /// Beginning of the names of ephemeral directories.
 const EPHEMERAL: &str = "trocar-run-";
 
-/// What `--state` says.
+/// Choice of a state directory, as `--state` makes it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum StateChoice {
     /// Kept: counters, plugin cache, logs.
@@ -39,17 +40,18 @@ pub enum StateChoice {
 pub struct StateDir {
     path: PathBuf,
     ephemeral: bool,
-    /// It was not there before.
+    /// True: the directory was not there before.
     made: bool,
-    /// It is removed at the end.
+    /// True: the directory is removed at the end.
     goes: AtomicBool,
     hold: Mutex<Option<Hold>>,
 }
 
-/// What keeps others out.
+/// Locks that keep other processes out.
 #[derive(Debug)]
 struct Hold {
-    /// A child that a plugin forks and leaves behind would keep the next process out.
+    /// Keeps the locks from children: one that a plugin forks and leaves behind would keep the
+    /// next process out.
     _unshared: [Option<Unshared>; 2],
     _lock: File,
     _claim: Option<UnixDatagram>,
@@ -121,7 +123,7 @@ impl StateDir {
         self.goes.fetch_or(self.made, Ordering::Relaxed);
     }
 
-    /// Leaves it to others; removes an ephemeral one.
+    /// Leaves the directory to others; removes an ephemeral one.
     pub(super) fn release(&self) {
         let hold = self.hold.lock().unwrap_or_else(PoisonError::into_inner).take();
         if hold.is_some() && self.goes.load(Ordering::Relaxed) {
@@ -130,7 +132,8 @@ impl StateDir {
         }
     }
 
-    /// Forgets everything but the counters that must never go back (`gcm.json`: term and epochs fence old processes).
+    /// Forgets everything but the counters that must never go back (`gcm.json`: term and epochs fence
+    /// old processes).
     fn clear(&self) -> Result<(), HostError> {
         let unwritable =
             |e: std::io::Error| HostError::StateUnwritable { dir: self.path.clone(), because: e.to_string() };
@@ -156,8 +159,8 @@ impl Drop for StateDir {
     }
 }
 
-/// Takes the directory's name, as an abstract socket: `rm -rf` of a directory in use takes its lock file along, not this.
-/// `None` where the system gives no such socket; then the lock file is all there is.
+/// Takes the directory's name, as an abstract socket: `rm -rf` of a directory in use takes its lock file
+/// along, not this name. `None` where the system gives no such socket; then the lock file is all there is.
 fn claim(path: &Path) -> Result<Option<UnixDatagram>, HostError> {
     let unwritable =
         |e: std::io::Error| HostError::StateUnwritable { dir: path.to_owned(), because: e.to_string() };
@@ -170,8 +173,8 @@ fn claim(path: &Path) -> Result<Option<UnixDatagram>, HostError> {
     }
 }
 
-/// A name no other host takes: the number tells the hosts of one process apart, the time those of processes with one id
-/// (in other containers).
+/// Returns a name that no other host takes. The number tells the hosts of one process apart; the time tells
+/// apart those of processes with one id (in other containers).
 fn ephemeral_name() -> String {
     static HOSTS: AtomicU64 = AtomicU64::new(0);
     let host = HOSTS.fetch_add(1, Ordering::Relaxed);
@@ -179,13 +182,14 @@ fn ephemeral_name() -> String {
     format!("{EPHEMERAL}{}-{host}-{nanos:08x}", std::process::id())
 }
 
-/// The temporary directory, unless programs may not be run there: plugins are opened from the state directory.
+/// Returns the temporary directory, unless programs may not be run there: plugins are opened from the
+/// state directory.
 fn ephemeral_base() -> PathBuf {
     let temp = std::env::temp_dir();
     if forbids_execution(&temp) { state_home() } else { temp }
 }
 
-/// Removes the ephemeral directories of processes that were killed: nobody holds their lock any more.
+/// Removes the ephemeral directories of processes that were killed: their lock is free.
 fn sweep(base: &Path) {
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
         let ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(EPHEMERAL));

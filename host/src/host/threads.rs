@@ -1,8 +1,7 @@
-//! Threads this process is given: where the machine gives it none, it is warned of that until there are some
-//! again.
+//! Threads for this process: where the machine refuses one, a warning lasts until there are some again.
 //!
-//! Invariant: nothing is tried while all that was asked for was given. Another process of this user would get
-//! no thread either, so this one stays fit: to begin it anew would help nobody.
+//! Invariant: nothing is tried while every request for a thread was granted. Another process of this user
+//! would get no thread either, so this one stays fit: a restart would not help.
 
 use std::io;
 use std::sync::{Arc, Weak};
@@ -13,7 +12,7 @@ use trocar_rt::house;
 
 use crate::lcm::{Concern, LocalLcm};
 
-/// Between two looks.
+/// Pause between two looks.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Looks after them as long as the LCM is there.
@@ -44,13 +43,14 @@ fn one_more() -> io::Result<()> {
 }
 
 struct Threads {
-    /// So many were refused up to the last look.
+    /// Number of threads refused up to the last look.
     refused: u64,
     told: bool,
 }
 
 impl Threads {
-    /// The warning from now on; `None`: as before. What was refused for a moment was told to who asked.
+    /// Returns the change of the warning; `None`: as before. The caller that asked was told of a refusal that
+    /// lasted for a moment.
     fn look(&mut self, refused: u64, one_more: impl FnOnce() -> io::Result<()>) -> Option<Option<String>> {
         if refused == self.refused && !self.told {
             return None;

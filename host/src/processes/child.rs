@@ -1,9 +1,9 @@
-//! One child: spawned with its standard input as the tie, asked to end by closing it, and what it says over
-//! it.
+//! One child: spawned with its standard input as the tie, asked to end by closing the tie, and the messages
+//! it sends over it.
 //!
-//! Invariant: it is waited for by its handle (a pidfd where the kernel has them), never by its number, so
-//! nobody else is ever taken for it. What it started ends with it: what has stayed in its group, or has its
-//! mark. Nothing it prints passes through this process: it can wait for no reader.
+//! Invariant: a child is waited for by its handle (a pidfd where the kernel has them), never by its number,
+//! so no other process is ever taken for it. Programs it started end with it: those that stayed in its group,
+//! or have its mark. Nothing it prints passes through this process: it never waits for a reader.
 
 use std::ffi::OsString;
 use std::fs::{DirBuilder, File};
@@ -28,29 +28,29 @@ use tokio::task::JoinHandle;
 use super::offspring::Mark;
 use super::{Exit, Policy};
 
-/// What a child shows of its log; all of it is in its state directory.
+/// Variable with the log level of a child's output; the child's state directory has the whole log.
 const LEVEL: &str = "TROCAR_LOG";
-/// Longest line it says, bytes.
+/// Longest line of a child, bytes.
 const LINE: usize = 1 << 20;
-/// How long what a child said may be on its way after its end.
+/// Time for a child's last messages to arrive after its end.
 const LAST_WORD: Duration = Duration::from_millis(500);
-/// How long a child that was killed may take to be gone.
+/// Time for a killed child to be gone.
 const GONE: Duration = Duration::from_secs(5);
 
-/// What is run as a child: this program, serving, with `--json` and `--tied`.
+/// The program of a child: this one, serving, with `--json` and `--tied`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
-    /// What the process is called in the system.
+    /// Name of the process in the system.
     pub name: String,
     pub args: Vec<OsString>,
     /// Address it listens on; port 0 takes a free one.
     pub listen: String,
-    /// Started again it listens where it listened first.
+    /// When started again, it listens where it listened first.
     pub stays: bool,
     pub env: Vec<(String, String)>,
-    /// Its working directory; `None`: that of whoever starts it.
+    /// Its working directory; `None`: that of its parent.
     pub folder: Option<PathBuf>,
-    /// Where all it prints goes.
+    /// File for everything it prints.
     pub output: PathBuf,
     pub policy: Policy,
 }
@@ -59,16 +59,16 @@ pub struct Program {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Said {
     Listening(String),
-    /// Why it does not start, as its `--json` says it.
+    /// The reason why it does not start, as its `--json` says it.
     Refused(Value),
 }
 
 /// The last words of a child.
 #[derive(Default)]
 struct LastWords {
-    /// It ends because somebody asked it to.
+    /// The child ends because it was asked to.
     farewell: AtomicBool,
-    /// It served, and ends for this.
+    /// The reason for which a child that served ends.
     why: OnceLock<String>,
 }
 
@@ -99,12 +99,12 @@ impl Child {
         }
         let (ours, its) = UnixStream::pair()?;
         ours.set_nonblocking(true)?;
-        // Somebody may have emptied the state directory.
+        // The state directory may have been emptied.
         if let Some(place) = program.output.parent() {
             DirBuilder::new().recursive(true).mode(0o700).create(place)?;
         }
         let output = File::options().create(true).append(true).open(&program.output)?;
-        // Its own group: Ctrl-C is for whoever keeps it, who then ends all in order.
+        // A group of its own: Ctrl-C is for its keeper, which then ends all in order.
         command.process_group(0).stdin(Stdio::from(OwnedFd::from(its)));
         command.stdout(output.try_clone()?).stderr(output);
         let process = command.spawn()?;
@@ -116,13 +116,13 @@ impl Child {
         Ok(Child { process, tie: Some(tie), pid, mark, said, last, hearing })
     }
 
-    /// Waits for its end. May be called again when it was given up before.
+    /// Waits for its end. May be called again after it was cancelled.
     pub(super) async fn ended(&mut self) -> Exit {
         let exit = match collected(&mut self.process, &self.mark).await {
             Ok(status) => status.into(),
             Err(e) => Exit::NotStarted(format!("nobody knows what became of it: {e}")),
         };
-        // What it said last may still be on the way; a child of its own may keep the tie open.
+        // Its last message may still be on the way; a child of its own may keep the tie open.
         if let Some(hearing) = &mut self.hearing
             && tokio::time::timeout(LAST_WORD, hearing).await.is_ok()
         {
@@ -134,12 +134,12 @@ impl Child {
         }
     }
 
-    /// Somebody asked it to end, and it did: a plugin that ends the process says nothing.
+    /// Tells whether it was asked to end, and did: a plugin that ends the process says nothing.
     pub(super) fn said_farewell(&self) -> bool {
         self.last.farewell.load(Ordering::Acquire)
     }
 
-    /// What it says first; `None` when it ends, or closes its standard input, without a word.
+    /// Returns its first message; `None` when it ends, or closes its standard input, without one.
     pub(super) async fn first_word(&mut self) -> Option<Said> {
         tokio::select! {
             biased;
@@ -149,8 +149,8 @@ impl Child {
         tokio::time::timeout(LAST_WORD, &mut self.said).await.ok()?.ok()
     }
 
-    /// Asks it to end, and kills it when it does not within its time. `why` it is to: `None`, as all have to
-    /// some time.
+    /// Asks it to end, and kills it when it does not within its time. `why` is the reason to end it; `None`:
+    /// an ordinary end.
     pub(super) async fn end(&mut self, patience: Duration, why: Option<String>) -> Exit {
         drop(self.tie.take());
         let why = match (tokio::time::timeout(patience, self.ended()).await, why) {
@@ -160,7 +160,7 @@ impl Child {
             (Err(_), None) => format!("did not end within {} s", patience.as_secs()),
         };
         log::error!("process {} {why} and is killed", self.pid);
-        // It may have ended in this moment.
+        // The process may have ended meanwhile.
         let _ = self.process.start_kill();
         match tokio::time::timeout(GONE, self.ended()).await {
             Ok(_) => Exit::Killed(why),
@@ -170,13 +170,13 @@ impl Child {
     }
 }
 
-/// Waits for the end of a child, and ends what is left of what it started.
+/// Waits for the end of a child, and ends the rest of the programs it started.
 async fn collected(child: &mut tokio::process::Child, mark: &Mark) -> std::io::Result<ExitStatus> {
     if let Some(leader) = child.id().and_then(group)
         && ends(leader).await
     {
-        // Not collected yet, so the number of its group is nobody else's. It is there itself, if nobody else
-        // is.
+        // The child is not collected yet, so the number of its group belongs to no other group. The group
+        // exists if only by the child itself.
         let _ = kill_process_group(leader, Signal::KILL);
         let mark = mark.clone();
         let killed = tokio::task::spawn_blocking(move || mark.kill_all()).await;
@@ -208,16 +208,16 @@ fn group(pid: u32) -> Option<Pid> {
     i32::try_from(pid).ok().and_then(Pid::from_raw)
 }
 
-/// The program that runs here, also when another one lies in its place by now: they might not understand each
-/// other.
+/// Returns the program that runs here, also when its file was replaced meanwhile: the two might not
+/// understand each other.
 fn this_program() -> std::io::Result<PathBuf> {
     let path = std::env::current_exe()?;
     let replaced = path.as_os_str().as_encoded_bytes().ends_with(b" (deleted)");
     Ok(if replaced { PathBuf::from("/proc/self/exe") } else { path })
 }
 
-/// Takes what it says: where it serves or why it does not, and at its end that somebody asked for that, or
-/// why it is.
+/// Takes its messages: first its address or the reason why it does not start; at its end, that it was asked
+/// to, or the reason.
 async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, last: Arc<LastWords>) {
     let (mut tell, mut line, mut chunk) = (Some(tell), Vec::new(), vec![0; 4096]);
     while let Ok(n @ 1..) = from.read(&mut chunk).await {
@@ -229,7 +229,7 @@ async fn hear(mut from: OwnedReadHalf, tell: oneshot::Sender<Said>, last: Arc<La
                             last.farewell.store(true, Ordering::Release);
                             tell = teller;
                         }
-                        // Whoever waited may have given up.
+                        // The waiting task may have given up.
                         (Some(Word::First(said)), Some(teller)) => _ = teller.send(said),
                         (Some(Word::First(Said::Refused(why))), None) => {
                             // One end has one reason.

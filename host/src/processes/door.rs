@@ -1,6 +1,7 @@
-//! How a supervised system is asked to go down: a Unix socket in its state directory.
+//! The door at which a supervised system is asked to go down: a Unix socket in its state directory.
 //!
-//! Invariant: only the user of the directory can ask, and whoever asks is answered when it is down, not before.
+//! Invariant: only the user of the directory can ask, and the caller is answered when the system is down, not
+//! before.
 
 use std::fs::{self, File, Permissions};
 use std::io::ErrorKind;
@@ -18,7 +19,7 @@ use tokio::task::JoinHandle;
 
 const SOCKET: &str = "door.sock";
 const DOWN: &str = "down\n";
-/// Time to say what one wants.
+/// Time for a caller's request.
 const ASK: Duration = Duration::from_secs(2);
 /// Time a system may take to go down.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -30,24 +31,24 @@ pub struct Door {
     task: JoinHandle<()>,
 }
 
-/// What came of asking.
+/// Result of asking.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Answer {
     /// Everything has ended; what did not end in order, one sentence each.
     Down(Vec<String>),
-    /// Nobody is there.
+    /// No system is there.
     Nobody,
-    /// It did not go down, or nobody knows: why.
+    /// The system did not go down, or its state is unknown: the reason.
     Unknown(String),
 }
 
 impl Door {
-    /// Opens the door of the system whose directory, which the caller holds, this is.
+    /// Opens the door of the system with this directory, which the caller holds.
     ///
     /// # Errors
     /// The socket cannot be bound.
     pub fn open(dir: &Path) -> std::io::Result<Door> {
-        // It may be older than this program, or made by somebody with other habits.
+        // The directory may be older than this program, or made with other permissions.
         fs::set_permissions(dir, Permissions::from_mode(0o700))?;
         let path = dir.join(SOCKET);
         // The directory is ours: what lies here is a dead system's.
@@ -62,7 +63,7 @@ impl Door {
                         tokio::spawn(let_in(stream, tell.clone()));
                     }
                     Ok(_) => log::warn!("another user asked this system to go down"),
-                    // Out of descriptors: others may free some.
+                    // Descriptors are used up: other code may free some.
                     Err(_) => tokio::time::sleep(Duration::from_millis(100)).await,
                 }
             }
@@ -70,7 +71,7 @@ impl Door {
         Ok(Door { path, asked, task })
     }
 
-    /// Waits until somebody wants it down; whom to answer then.
+    /// Waits until a caller wants the system down; returns the stream for the answer.
     pub async fn asked(&mut self) -> UnixStream {
         match self.asked.recv().await {
             Some(stream) => stream,
@@ -79,7 +80,7 @@ impl Door {
         }
     }
 
-    /// Answers whoever asked that it is done, and what did not end in order.
+    /// Answers every caller that the system is down, and what did not end in order.
     pub async fn answer(&mut self, first: Option<UnixStream>, failed: &[String]) {
         let mut waiting: Vec<UnixStream> = first.into_iter().collect();
         while let Ok(next) = self.asked.try_recv() {
@@ -88,12 +89,12 @@ impl Door {
         let lines = failed.iter().map(|line| line.replace('\n', " ") + "\n");
         let text: String = std::iter::once(DOWN.to_owned()).chain(lines).collect();
         for mut stream in waiting {
-            // It may not want to know any more, or to listen.
+            // The caller may have given up, or may not listen.
             let _ = tokio::time::timeout(ASK, stream.write_all(text.as_bytes())).await;
         }
     }
 
-    /// Asks the system of this directory to go down and waits until it is, its own process too.
+    /// Asks the system of this directory to go down and waits until it is down, its own process too.
     pub async fn ask(dir: &Path) -> Answer {
         let mut stream = match connect(dir).await {
             Ok(stream) => stream,
@@ -109,7 +110,7 @@ impl Door {
             let mut text = String::new();
             stream.read_to_string(&mut text).await?;
             if let Some(process) = process {
-                // It closes the stream before it ends.
+                // The process closes the stream before it ends.
                 ended(process).await;
             }
             Ok::<_, std::io::Error>(text)
@@ -124,7 +125,7 @@ impl Door {
         }
     }
 
-    /// True when somebody answers there.
+    /// Tells whether a system answers there.
     pub async fn is_open(dir: &Path) -> bool {
         connect(dir).await.is_ok()
     }
@@ -148,7 +149,7 @@ async fn connect(dir: &Path) -> std::io::Result<UnixStream> {
     UnixStream::connect(near.socket()).await
 }
 
-/// Its other end is held by the user of this process, or by root.
+/// Tells whether the peer is a program of this process's user, or of root.
 fn is_ours(stream: &UnixStream) -> bool {
     stream.peer_cred().is_ok_and(|peer| peer.uid() == geteuid().as_raw() || peer.uid() == 0)
 }
@@ -172,7 +173,7 @@ async fn ended(process: OwnedFd) {
     let waiting = tokio::task::spawn_blocking(move || {
         poll(&mut [PollFd::new(&process, PollFlags::IN)], limit.as_ref())
     });
-    // At its worst it is seen to be there.
+    // At worst the process is still there.
     let _ = waiting.await;
 }
 
@@ -180,7 +181,7 @@ async fn let_in(mut stream: UnixStream, tell: mpsc::Sender<UnixStream>) {
     let mut asked = [0; DOWN.len()];
     let read = tokio::time::timeout(ASK, stream.read_exact(&mut asked)).await;
     if matches!(read, Ok(Ok(_))) && asked == DOWN.as_bytes() {
-        // It is going down already.
+        // The system is going down already.
         let _ = tell.send(stream).await;
     }
 }

@@ -1,14 +1,14 @@
-//! How a process ended, in words.
+//! The end of a process, in words.
 
 use std::fmt;
 use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
 
-/// How a process ended.
+/// End of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Exit {
     Code(i32),
-    /// It served, and said why it had to end.
+    /// The process served, and said why it had to end.
     Because {
         code: i32,
         why: String,
@@ -17,11 +17,11 @@ pub enum Exit {
         number: i32,
         core: bool,
     },
-    /// It never ran: why.
+    /// The process never ran: the reason.
     NotStarted(String),
-    /// Whoever keeps it killed it: why.
+    /// The process was killed by its keeper: the reason.
     Killed(String),
-    /// It was killed and is still there: why it was.
+    /// The process was killed and is still there: the reason for the kill.
     Stuck(String),
 }
 
@@ -61,7 +61,8 @@ const SIGNALS: [&str; 31] = [
 ];
 
 impl Exit {
-    /// It ended as one that was asked to, should it have been: 130 says that it did not serve yet.
+    /// Tells whether the process ended as one that was asked to, if it was: 130 says that it did not serve
+    /// yet.
     pub fn is_orderly(&self) -> bool {
         matches!(self, Exit::Code(0 | 130))
     }

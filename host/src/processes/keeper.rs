@@ -1,6 +1,6 @@
 //! One supervised process: spawned, watched, started again or given up.
 //!
-//! Invariant: its status says at any time what is true of it; asked to end, it is not started again.
+//! Invariant: the status is true at any time; a process that was asked to end is not started again.
 
 use std::convert::Infallible;
 use std::path::Path;
@@ -13,48 +13,48 @@ use super::child::{Child, Program, Said};
 use super::policy::{History, How, Verdict};
 use super::{Exit, supervisor::Board};
 
-/// How long a child that was asked to end may take for it.
+/// Time for a child to end after it was asked to.
 const PATIENCE: Duration = Duration::from_secs(12);
-/// The same for one that is put down since it is of no use.
+/// The same for a child that is put down because it is of no use.
 const USELESS: Duration = Duration::from_secs(3);
-/// Size at which what a child printed becomes the old output, bytes; two are kept.
+/// Size at which a child's output becomes the old output, bytes; two are kept.
 const OUTPUT: u64 = 8 << 20;
-/// Between two looks at that size.
+/// Time between two looks at that size.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Where a supervised process is in its life.
+/// Phase in the life of a supervised process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Phase {
     /// Spawned, for the first time or again; it does not serve yet.
     #[default]
     Starting,
-    /// It serves, and is attached to its GCM if it has one.
+    /// The process serves, and is attached to its GCM if it has one.
     Running,
-    /// It failed and will be spawned again.
+    /// The process failed and will be spawned again.
     Restarting,
-    /// It failed too often.
+    /// The process failed too often.
     Failed,
-    /// It ended and nobody wants it back.
+    /// The process ended and nobody wants it back.
     Ended,
 }
 
-/// How a supervised process stands.
+/// Status of a supervised process.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
     pub phase: Phase,
-    /// Of the incarnation that runs, or ended last; 0 = none yet.
+    /// Process id of the incarnation that runs, or ended last; 0 = none yet.
     pub pid: u32,
-    /// Where it serves, or did.
+    /// Address where the process serves, or did.
     pub address: Option<String>,
-    /// How often it was spawned again.
+    /// Number of times the process was spawned again.
     pub restarts: u32,
     pub last_exit: Option<Exit>,
-    /// Why it did not start, as it said itself.
+    /// The reason why it did not start, in its own words.
     pub refused: Option<Value>,
 }
 
 impl Status {
-    /// How it ended last, in words, with what it said about it; "" when it never did.
+    /// Returns how the process ended last, in words, with its own reason; "" when it never did.
     pub fn exit_text(&self) -> String {
         let said = self.refused.as_ref().and_then(|r| r["message"].as_str());
         match (&self.last_exit, said) {
@@ -65,17 +65,17 @@ impl Status {
     }
 }
 
-/// What a keeper is told.
+/// Orders to a keeper.
 pub(super) struct Orders {
-    /// True: it is to end, and not to be started again.
+    /// True: the process is to end, and not to be started again.
     pub(super) down: watch::Receiver<bool>,
     /// The incarnation of this number is of no use: why.
     pub(super) put_down: mpsc::UnboundedReceiver<(u32, String)>,
-    /// It is to be started again, with a clean record.
+    /// The process is to be started again, with a clean record.
     pub(super) again: mpsc::UnboundedReceiver<()>,
 }
 
-/// Keeps it until it is asked to end. Answers how it ended when it was asked to while it ran.
+/// Keeps a process until it is asked to end. Returns how it ended, if it ran when it was asked to.
 pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Option<Exit> {
     let Orders { mut down, mut put_down, mut again } = orders;
     let mut history = History::new(program.policy);
@@ -91,7 +91,7 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
             }
             Ok(mut child) => {
                 let pid = child.pid;
-                // In one step: nobody may take the end of the one before for an end of this one.
+                // In one step: nobody may take the end of the previous incarnation for an end of this one.
                 set(&|s| (s.phase, s.pid, s.restarts) = (Phase::Starting, pid, restarts));
                 let exit = tokio::select! {
                     exit = live(&mut child, &program, &board, &mut listen, &mut refused) => exit,
@@ -131,7 +131,7 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
         let pause = async {
             match verdict {
                 Verdict::Restart { after } => tokio::time::sleep(after).await,
-                // Until somebody wants it back.
+                // Waits until the process is wanted back.
                 Verdict::GiveUp | Verdict::Leave => std::future::pending().await,
             }
         };
@@ -150,12 +150,12 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
     }
 }
 
-/// Ends when it is to end, or when nobody can ask for that any more.
+/// Returns when the process is to end, or when nobody can ask for that any more.
 async fn asked(down: &mut watch::Receiver<bool>) {
     let _ = down.wait_for(|down| *down).await;
 }
 
-/// Ends when it is to be started again; asked for twice, it is started once.
+/// Returns when the process is to be started again; two requests start it once.
 async fn anew(again: &mut mpsc::UnboundedReceiver<()>) {
     if again.recv().await.is_none() {
         std::future::pending::<()>().await;
@@ -163,7 +163,7 @@ async fn anew(again: &mut mpsc::UnboundedReceiver<()>) {
     while again.try_recv().is_ok() {}
 }
 
-/// Ends when this incarnation is found to be of no use; what was said of others is forgotten.
+/// Returns when this incarnation is reported to be of no use; reports about others are forgotten.
 async fn useless(put_down: &mut mpsc::UnboundedReceiver<(u32, String)>, pid: u32) -> String {
     loop {
         match put_down.recv().await {
@@ -174,7 +174,7 @@ async fn useless(put_down: &mut mpsc::UnboundedReceiver<(u32, String)>, pid: u32
     }
 }
 
-/// From its first word, which has its time, to its end.
+/// Follows a child from its first message, which has a time limit, to its end.
 async fn live(
     child: &mut Child,
     program: &Program,
@@ -187,7 +187,7 @@ async fn live(
         match child.first_word().await {
             Some(Said::Listening(address)) => return Ok(address),
             Some(Said::Refused(why)) => *refused = Some(why),
-            // It says nothing a supervisor understands, and may still end for a reason.
+            // The process says nothing a supervisor understands, and may still end for a reason.
             None => {}
         }
         Err(child.ended().await)
@@ -214,14 +214,14 @@ async fn live(
     }
 }
 
-/// Puts away what a file has when that is much. Whoever writes to it appends, and goes on at its new end.
+/// Puts the content of a file away when it is large. Its writers append, and go on at the new end.
 pub async fn keep_short(output: &Path) -> Infallible {
     let mut look = tokio::time::interval(LOOK);
     loop {
         look.tick().await;
         if std::fs::metadata(output).is_ok_and(|m| m.len() > OUTPUT) {
             let path = output.to_owned();
-            // What cannot be kept is lost; that it does not grow matters more.
+            // Output that cannot be kept is lost; it matters more that the file does not grow.
             let _ = tokio::task::spawn_blocking(move || put_away(&path)).await;
         }
     }

@@ -1,7 +1,9 @@
-//! Supervision of processes: spawned as children, tied to this one's life, started again by policy, given up above it.
+//! Supervision of processes: spawned as children, tied to this process's life, restarted by policy, given up
+//! above its limits.
 //!
-//! Invariant: no child outlives this process. Each holds one end of a socket pair as its standard input; the kernel closes
-//! the other end however this process ends, and the child then ends by itself, devices safe first.
+//! Invariant: no child outlives this process. Each child holds one end of a socket pair as its standard
+//! input; the kernel closes the other end however this process ends, and the child then ends by itself,
+//! devices safe first.
 
 mod child;
 mod door;

@@ -1,7 +1,7 @@
-//! Programs that a child started and left behind, in whatever session: found by a mark in their environment.
+//! Programs that a child started and left behind, in any session: found by a mark in their environment.
 //!
-//! Invariant: only what has this child's mark is killed, through a handle that was there before the mark was
-//! read, so never somebody who got the number of one that ended.
+//! Invariant: only programs with this child's mark are killed, through a handle that was opened before the
+//! mark was read, so never a program that got the number of an ended one.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -11,12 +11,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use rustix::process::{Pid, PidfdFlags, Signal, getpid, pidfd_open, pidfd_send_signal};
 
-/// The variable that a child, and what it starts, has in its environment.
+/// The variable in the environment of a child and of its programs.
 const VARIABLE: &str = "TROCAR_KEPT";
-/// Looks for what was started while others were being killed.
+/// Looks for programs that were started while others were being killed.
 const LOOKS: usize = 16;
 
-/// A mark that no other child has, of this keeper or another.
+/// A mark that no other child of this keeper or another has.
 #[derive(Clone, Debug)]
 pub(super) struct Mark(String);
 
@@ -28,12 +28,12 @@ impl Mark {
         Mark(format!("{keeper}-{number}-{since:x}"))
     }
 
-    /// As it stands in the environment.
+    /// Returns the mark as it stands in the environment.
     pub(super) fn variable(&self) -> (&'static str, &str) {
         (VARIABLE, &self.0)
     }
 
-    /// Kills all that has this mark, and what that starts meanwhile. Reads files: not for a thread that
+    /// Kills all programs with this mark, and those they start meanwhile. Reads files: not for a thread that
     /// others wait for.
     pub(super) fn kill_all(&self) {
         for _ in 0..LOOKS {
@@ -46,7 +46,7 @@ impl Mark {
     }
 
     fn kills(&self, pid: Pid) -> bool {
-        // One that is gone, or another user's, cannot be opened or read.
+        // A process that is gone, or is another user's, cannot be opened or read.
         let Ok(handle) = pidfd_open(pid, PidfdFlags::empty()) else { return false };
         let environment = fs::read(format!("/proc/{}/environ", pid.as_raw_nonzero())).unwrap_or_default();
         self.is_in(&environment) && pidfd_send_signal(&handle, Signal::KILL).is_ok()

@@ -1,19 +1,21 @@
-//! Whether a process that ended is started again, and when, and how long one that lives may be of no use: decided from its
-//! ends alone.
+//! Decides whether and when an ended process is started again, and how long a living one may be of no use,
+//! from its ends alone.
 //!
-//! Invariant: pure; more than `max` restarts within `within` never happen, and what ended as asked is never started again.
+//! Invariant: pure; more than `max` restarts within `within` never happen, and a process that ended as asked
+//! is never started again.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// What follows the end of a process.
+/// Policy for the end of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Policy {
     Never,
     OnFailure(Limits),
 }
 
-/// When one that lives but is not heard, or holds a component that does not come back, is killed and started again.
+/// Time after which a living process that is not heard, or holds a component that does not come back, is
+/// killed and started again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unheard {
     /// After [`Unheard::USUAL`], or never when something in it moves something.
@@ -25,7 +27,7 @@ pub enum Unheard {
 impl Unheard {
     pub const USUAL: Duration = Duration::from_secs(10);
 
-    /// How long one may be unheard; `None`: as long as it likes.
+    /// Returns how long a process may be unheard; `None`: for ever.
     pub fn limit(self, moves: bool) -> Option<Duration> {
         match self {
             Unheard::Usual if moves => None,
@@ -36,16 +38,17 @@ impl Unheard {
     }
 }
 
-/// How often, and how soon.
+/// Number and pace of restarts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Restarts within `within`.
     pub max: u32,
     pub within: Duration,
-    /// Before the second restart within that time; twice as long before each further one. The first one is at once.
+    /// Pause before the second restart within that time; it doubles for each further one. The first restart
+    /// is at once.
     pub backoff: Duration,
     pub most_backoff: Duration,
-    /// From its spawn until it serves; then it is killed, which counts as a failure.
+    /// Time from its spawn until it serves; then it is killed, which counts as a failure.
     pub start_within: Duration,
     pub unheard: Unheard,
 }
@@ -76,7 +79,8 @@ impl Policy {
         }
     }
 
-    /// When one that is of no use is put down; never one that nobody would start again.
+    /// Returns when a process that is of no use is put down; never for a process that would not be started
+    /// again.
     pub fn unheard(self) -> Unheard {
         match self {
             Policy::Never => Unheard::Never,
@@ -85,29 +89,29 @@ impl Policy {
     }
 }
 
-/// How a process came to its end.
+/// Kind of the end of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum How {
-    /// Somebody asked it to, and it said so.
+    /// The process was asked to end, and said so.
     AsAsked,
-    /// It said why it does not start.
+    /// The process said why it does not start.
     Refused,
     Failed,
 }
 
-/// What is to be done about an end.
+/// Consequence of an end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     Restart {
         after: Duration,
     },
-    /// It ended too often.
+    /// The process ended too often.
     GiveUp,
     /// Nobody wants it back.
     Leave,
 }
 
-/// Pause after a first refusal, and the longest: what is in its way is seldom gone at once.
+/// Pause after a first refusal, and the longest: the obstacle is seldom gone at once.
 const REFUSED: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
 /// The restarts of one process.
@@ -115,7 +119,7 @@ const REFUSED: (Duration, Duration) = (Duration::from_millis(100), Duration::fro
 pub(super) struct History {
     policy: Policy,
     restarts: VecDeque<Instant>,
-    /// One after the other, without any other end between.
+    /// Refusals one after the other, without any other end between.
     refusals: u32,
 }
 
@@ -124,7 +128,7 @@ impl History {
         History { policy, restarts: VecDeque::new(), refusals: 0 }
     }
 
-    /// It ended at `now`.
+    /// Records an end at `now` and returns its consequence.
     pub(super) fn ended(&mut self, how: How, now: Instant) -> Verdict {
         let limits = match self.policy {
             _ if how == How::AsAsked => return Verdict::Leave,

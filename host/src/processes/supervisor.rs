@@ -1,4 +1,4 @@
-//! All supervised processes of this one, and how they stand.
+//! All supervised processes of this one, and their status.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use tokio::task::JoinHandle;
 use super::keeper::{Orders, Status, keep};
 use super::{Exit, Program};
 
-/// How every process stands, by name.
+/// Status of every process, by name.
 #[derive(Clone)]
 pub(super) struct Board {
     all: watch::Sender<BTreeMap<String, Status>>,
@@ -20,7 +20,7 @@ impl Board {
         self.all.send_modify(|all| _ = all.insert(name.to_owned(), Status::default()));
     }
 
-    /// Nothing is told of one that was forgotten.
+    /// A forgotten process has no status any more.
     pub(super) fn change(&self, name: &str, change: &dyn Fn(&mut Status)) {
         self.all.send_if_modified(|all| all.get_mut(name).map(change).is_some());
     }
@@ -30,7 +30,8 @@ impl Board {
     }
 }
 
-/// Keeps processes; dropped, it lets go of what it still keeps, and that ends by itself, devices safe first.
+/// Keeps processes; dropped, it lets go of those it still keeps, which then end by themselves, devices safe
+/// first.
 pub struct Supervisor {
     board: Board,
     kept: Mutex<BTreeMap<String, Kept>>,
@@ -50,7 +51,7 @@ impl Default for Supervisor {
 }
 
 impl Supervisor {
-    /// Spawns a process and keeps it. A name that is kept already is left as it is.
+    /// Spawns a process and keeps it. A name that is kept already stays as it is.
     pub fn start(&self, program: Program) {
         let name = program.name.clone();
         let mut kept = self.kept();
@@ -66,35 +67,38 @@ impl Supervisor {
         kept.insert(name, Kept { down, put_down, again, task });
     }
 
-    /// How all stand now and whenever something changes; a slow reader sees the newest.
+    /// Returns the status of all processes, now and whenever something changes; a slow reader sees the
+    /// newest.
     pub fn statuses(&self) -> watch::Receiver<BTreeMap<String, Status>> {
         self.board.all.subscribe()
     }
 
-    /// The incarnation of this number is of no use, says why: it is asked to end, soon killed, and treated as one that failed.
+    /// Reports that the incarnation with this number is of no use, and why: it is asked to end, soon killed,
+    /// and treated as one that failed.
     pub fn put_down(&self, name: &str, pid: u32, why: String) {
         if let Some(kept) = self.kept().get(name) {
-            // One that was given up takes no orders.
+            // A process that was given up takes no orders.
             let _ = kept.put_down.send((pid, why));
         }
     }
 
-    /// Ends it, if it runs, and starts it again with a clean record; one that was given up or has ended, too.
+    /// Ends the process, if it runs, and starts it again with a clean record; also one that was given up or
+    /// has ended.
     pub fn again(&self, name: &str) {
         if let Some(kept) = self.kept().get(name) {
-            // One that was asked to end takes no orders.
+            // A process that was asked to end takes no orders.
             let _ = kept.again.send(());
         }
     }
 
-    /// Asks it to end and does not wait: its status says when it has.
+    /// Asks the process to end and does not wait: its status says when it has.
     pub fn ask_to_end(&self, name: &str) {
         if let Some(kept) = self.kept().get(name) {
             kept.down.send_replace(true);
         }
     }
 
-    /// One that has ended or was given up: its name is free, and nothing is told of it any more.
+    /// Forgets a process that has ended or was given up: its name is free, and it has no status any more.
     pub fn forget(&self, name: &str) {
         if let Some(kept) = self.kept().remove(name) {
             kept.task.abort();
@@ -102,7 +106,7 @@ impl Supervisor {
         self.board.forget(name);
     }
 
-    /// Asks these to end, all at once, and waits until they have. Answers those that did not end in order.
+    /// Asks these to end, all at once, and waits until they have. Returns those that did not end in order.
     pub async fn end(&self, names: &[String]) -> Vec<(String, Exit)> {
         for name in names {
             self.ask_to_end(name);

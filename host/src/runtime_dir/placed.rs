@@ -1,5 +1,5 @@
-//! A socket that listens at a place of the runtime directory, and is put there again where somebody has
-//! removed it, as whoever empties the directory does.
+//! A socket that listens at a place of the runtime directory. It is put there again where it was removed, for
+//! example by a user who empties the directory.
 //!
 //! Invariant: it has one descriptor as long as it lives. A socket that another program has put at its place
 //! meanwhile stays. Its owner takes its file away at the end.
@@ -21,7 +21,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Binds a socket at its place.
 type Bind = Box<dyn Fn() -> io::Result<Plain> + Send + Sync>;
 
-/// One that listens, and that no runtime waits at yet.
+/// A socket that listens, and that no runtime waits at yet.
 pub(crate) struct Place {
     path: PathBuf,
     listener: Plain,
@@ -37,12 +37,12 @@ impl Place {
         path: PathBuf,
         bind: impl Fn() -> io::Result<Plain> + Send + Sync + 'static,
     ) -> io::Result<Place> {
-        // A process id comes again: what lies here belongs to nobody alive.
+        // Process ids come again: a socket that lies here belongs to no living process.
         let _ = std::fs::remove_file(&path);
         Ok(Place { path, listener: bind()?, bind: Box::new(bind) })
     }
 
-    /// On the runtime that waits for its callers.
+    /// Hands the socket to the runtime that waits for its callers.
     ///
     /// # Errors
     /// A runtime without network.
@@ -57,7 +57,7 @@ impl Place {
     }
 }
 
-/// One whose callers a runtime waits for.
+/// A socket whose callers a runtime waits for.
 pub(crate) struct Placed {
     path: PathBuf,
     _unshared: Unshared,
@@ -90,7 +90,7 @@ impl Placed {
         match self.put() {
             Ok(()) => log::warn!("{} was removed, and was made again", self.path.display()),
             Err(e) if e.kind() == io::ErrorKind::AddrInUse => {}
-            // Tried again at the next look; nobody misses it who does not look there.
+            // The next look tries again; only a program that looks there misses it.
             Err(e) => {
                 log::debug!("{} was removed: {e}", self.path.display());
                 // One that is half made would be taken for one that listens.

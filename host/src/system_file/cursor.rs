@@ -1,7 +1,7 @@
 //! Reads typed values out of positioned JSON and words the refusals.
 //!
 //! Invariant: every refusal names the place of the value it is about, what was found and what is accepted.
-//! One problem hides no other: whoever reads a part notes it in [`Found`] and goes on with the next.
+//! One problem hides no other: the reader of a part notes it in [`Found`] and goes on with the next.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -73,7 +73,7 @@ impl Found {
         }
     }
 
-    /// No more are listed: whatever is read now is read for nothing.
+    /// Tells whether no more problems are listed: the rest is then read for nothing.
     pub(super) fn is_full(&self) -> bool {
         self.count() >= MOST
     }
@@ -88,14 +88,15 @@ impl Found {
         self.take(read.transpose()).flatten()
     }
 
-    /// In the order of the file.
+    /// Returns the problems in the order of the file.
     pub(super) fn all(self) -> Vec<Problem> {
         let mut all = self.0.into_inner();
         all.sort_by_key(|problem| (problem.line, problem.column));
         all
     }
 
-    /// The number of them. It rises where a part that was read meanwhile is wrong, as long as they are listed.
+    /// Returns the number of problems. It rises where a part that was read meanwhile is wrong, as long as
+    /// problems are listed.
     pub(super) fn count(&self) -> usize {
         self.0.borrow().len()
     }
@@ -243,7 +244,7 @@ impl<'a> Cursor<'a> {
 pub(super) struct Fields<'a> {
     parent: Cursor<'a>,
     what: String,
-    /// Else that was noted, and nothing of it can be missed.
+    /// False: that was noted, and no field of it can be missed.
     is_object: bool,
     /// Keys that others, which are unknown, seem to mean.
     meant: Vec<String>,

@@ -1,8 +1,8 @@
 //! A running system against a system file: what differs, and the requests that make it what the file says.
 //!
 //! Invariant: pure. Whole values are compared, those a class fills in included, so two ways to say the same
-//! are no difference. Parts that the file does not name are left alone unless they are to be taken away,
-//! nobody else's processes are touched, and what waits for a person is not moved.
+//! are no difference. Parts that the file does not name are left alone unless they are to be taken away.
+//! Processes of other owners are not touched, and a component that waits for a person is not moved.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -30,8 +30,8 @@ pub struct Difference {
 }
 
 impl SystemFile {
-    /// Compares `running` with what the file says. With `prune` all that the file's processes have and the
-    /// file does not goes, but for what is `held` by a program.
+    /// Compares `running` with the file. With `prune`, parts of the file's processes that the file does not
+    /// have are taken away, except those `held` by a program.
     ///
     /// # Errors
     /// A component of the file that cannot be made; two servers for one client.
@@ -114,7 +114,7 @@ fn create(c: &ComponentSpec) -> Request {
 /// One component, and the things done with it.
 #[derive(Debug, Default)]
 struct Part {
-    /// It is taken away, for ever or to be made anew.
+    /// True: the component is taken away, for ever or to be made anew.
     goes: bool,
     make: Option<Request>,
     patch: Option<Request>,
@@ -238,7 +238,8 @@ impl Comparing<'_> {
         part
     }
 
-    /// It is in a process of the file, or in one beside it for itself alone, and comes and goes with nobody.
+    /// Tells whether a component is in a process of the file, or in one made for it alone beside such a
+    /// process, and belongs to no guest or program.
     fn is_ours(&self, id: &ComponentId) -> bool {
         let named = |name: &Name| self.file.processes.iter().any(|p| p.name == *name);
         let guest = self.running.processes.get(&id.process).is_some_and(|p| !p.guest.is_empty());
@@ -273,7 +274,8 @@ impl Comparing<'_> {
         }
     }
 
-    /// Takes along all that run in the thread of one that goes; they come back, unless they are not wanted.
+    /// Takes away also the components that run in the thread of a removed one; they come back, unless they
+    /// are not wanted.
     fn thread_mates(&mut self) {
         let running = self.running;
         let mut mates: BTreeMap<ComponentId, Vec<&ComponentId>> = BTreeMap::new();
@@ -317,7 +319,7 @@ impl Comparing<'_> {
         self.parts.get(id).is_some_and(|part| part.goes)
     }
 
-    /// It runs, and goes on running through the change.
+    /// Tells whether a component runs, and goes on running through the change.
     fn runs_on(&self, id: &ComponentId) -> bool {
         let stays = self.parts.get(id).is_none_or(|part| !part.goes && !part.stops);
         stays && self.running.components.get(id).is_some_and(|c| c.state == State::Active)
@@ -393,7 +395,8 @@ impl Comparing<'_> {
         }
     }
 
-    /// An actuator that runs on is not without what it requires for a moment: that would stop it.
+    /// Refuses a cut that takes from an actuator that runs on what it requires: a moment without it would
+    /// stop the actuator.
     fn spare_actuators(&mut self) {
         let running = self.running;
         for id in &self.cuts {
@@ -459,7 +462,7 @@ impl Comparing<'_> {
     }
 }
 
-/// It stands still for a reason of which a person has to know before it goes on.
+/// Tells whether a component stands still for a reason that a person has to know before it goes on.
 fn waits(spec: &ComponentSpec, now: &Component) -> bool {
     match now.state {
         State::Fault => true,
@@ -481,7 +484,7 @@ fn person(id: &ComponentId, now: &Component, anew: bool) -> String {
     }
 }
 
-/// In a process that is made for it, where that is not there.
+/// Makes a component in a process that is made for it, where that process is not there.
 fn apart(make: Request, spec: &ComponentSpec, running: &SystemGraph) -> Request {
     match make {
         Request::Create { id, class, config, execution }

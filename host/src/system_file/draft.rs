@@ -19,11 +19,11 @@ pub struct Draft {
     pub(super) doubts: Doubts,
 }
 
-/// Parts of a draft that say something else than what was meant, since a piece of them could not be read. A
+/// Parts of a draft that may say something else than was meant, since a piece of them could not be read. A
 /// refusal that follows from that is no mistake of the file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Doubts {
-    /// Their classes are not known, or not all.
+    /// Processes whose classes are not known, or not all.
     pub(super) processes: BTreeSet<Name>,
     /// Components, as written, without a class, or of no process.
     pub(super) components: BTreeSet<ComponentId>,
@@ -31,7 +31,7 @@ pub(super) struct Doubts {
     pub(super) executions: BTreeSet<ComponentId>,
     /// Connections, by their place among those that were read.
     pub(super) connections: BTreeSet<usize>,
-    /// A connection has no client: nobody knows who misses one.
+    /// True: a connection has no client, so it is not known which component misses one.
     pub(super) is_one_lost: bool,
 }
 
@@ -63,8 +63,8 @@ impl Draft {
     /// As [`SystemFile::set`].
     ///
     /// # Errors
-    /// Malformed, or names a component that the file does not have; where the file has problems of its own, that
-    /// may be one that could not be read, and is not told.
+    /// Malformed, or names a component that the file does not have. Where the file has problems of its own
+    /// this is not told: the component may be one that could not be read.
     pub fn set(&mut self, assignment: &str) -> Result<(), BadSet> {
         let set = self.file.set(assignment);
         if self.problems.is_empty() { set } else { Ok(()) }

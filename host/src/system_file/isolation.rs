@@ -1,7 +1,7 @@
 //! `"isolation": "process"`: a component in a process of its own, made as its process would have been.
 //!
-//! Invariant: whoever names such a component in the file means it under its written name; `host/robot` then lives in process
-//! `host.robot`. What shares a thread cannot be taken apart.
+//! Invariant: the file names such a component by its written name only; `host/robot` then lives in process
+//! `host.robot`. Components that share a thread cannot be taken apart.
 
 use trocar_model::ComponentId;
 

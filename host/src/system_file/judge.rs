@@ -17,12 +17,11 @@ use super::{Draft, SystemFile};
 /// The verdict on a file.
 #[derive(Clone, Debug, Default)]
 pub struct Judged {
-    /// In the order of the file.
+    /// Problems in the order of the file.
     pub problems: Vec<Problem>,
-    /// Its plan, as far as nothing is wrong.
+    /// Plan of the file, as far as nothing is wrong.
     pub plan: Plan,
-    /// Ports that a configuration may make, and their connections: nobody knows before the component is
-    /// there.
+    /// Ports that a configuration may make, and their connections: not known before the component is there.
     pub unknown: Vec<(PortId, Request)>,
 }
 
@@ -60,11 +59,12 @@ struct Judging<'a> {
     draft: &'a Draft,
     planning: Planning,
     judged: Judged,
-    /// Components that are not there: what names them is not judged.
+    /// Components that are not there: requests that name them are not judged.
     absent: BTreeSet<ComponentId>,
-    /// There with the execution of their class: whether others may run in their threads is not judged.
+    /// Components that are there with the execution of their class: whether others may run in their threads
+    /// is not judged.
     hosts_nobody: BTreeSet<ComponentId>,
-    /// Components of which something was refused, or not judged: whether they can start is not judged.
+    /// Components with a request that was refused, or not judged: whether they can start is not judged.
     incomplete: BTreeSet<ComponentId>,
 }
 
@@ -126,7 +126,7 @@ impl Judging<'_> {
         }
     }
 
-    /// All together, and one by one where that is refused: one that cannot start hides no other.
+    /// Judges all together, and one by one where that is refused: one that cannot start hides no other.
     fn start(&mut self, targets: &[Target]) {
         if self.draft.doubts.is_one_lost {
             return;
@@ -171,7 +171,7 @@ impl Judging<'_> {
 }
 
 impl SystemFile {
-    /// Its component is given a configuration, which may make ports.
+    /// Tells whether the component of a port is given a configuration, which may make ports.
     fn may_make(&self, port: &PortId) -> bool {
         let of_it = self.components.iter().find(|c| c.id == port.component);
         let config = of_it.and_then(|c| c.config.as_ref()).and_then(serde_json::Value::as_object);
@@ -211,7 +211,7 @@ fn is_client(port: &PortId, request: &Request) -> bool {
     matches!(request, Request::Connect { client, .. } if client == port)
 }
 
-/// It is about the ports by themselves: no option of the connection would change it.
+/// Tells whether a refusal is about the ports by themselves: no option of the connection would change it.
 fn is_of_ports(refusal: &Refusal) -> bool {
     matches!(
         refusal,

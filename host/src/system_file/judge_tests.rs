@@ -125,7 +125,7 @@ fn what_could_not_be_read_is_doubted_and_the_rest_is_judged() {
         // Another execution was meant: whether it suits is not judged, its connections are.
         (r#""rate_hz": 500"#, r#""rate_hz": 100000, "cpu": 1"#),
         (r#""gain": 2"#, r#""gain": -2"#),
-        // Without its client nobody knows who waits for a connection, so no Start is judged.
+        // Without its client it is not known which component waits for a connection, so no Start is judged.
         (r#""client": "host/c/robot""#, r#""clint": "host/c/robot""#),
         (
             r#""connections": ["#,

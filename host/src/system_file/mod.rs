@@ -1,7 +1,7 @@
 //! The system file: one strict JSON text that says which processes, components and connections make a system.
 //!
-//! Invariant: reading is pure and refuses everything it does not understand; what comes out is only `model` requests,
-//! so a system file can never do what single requests cannot.
+//! Invariant: reading is pure and refuses everything it does not understand; what comes out is only `model`
+//! requests, so a system file can never do what single requests cannot.
 
 mod cursor;
 mod difference;
@@ -44,8 +44,8 @@ pub use write::Picture;
 
 use cursor::{COMMENT, Document, Found};
 
-/// The first key that is twice in one object of a JSON text, anywhere in it; texts that are not JSON have none. Other
-/// readers take the last one silently, and a hidden setting is a wrong setting.
+/// Returns the first key that is twice in one object of a JSON text, anywhere in it; texts that are not JSON
+/// have none. Other readers take the last one silently, and a hidden setting is a wrong setting.
 pub fn duplicate_key(what: &str, text: &str) -> Option<Problem> {
     let document = Document::parse(what, text.to_owned()).ok()?;
     let found = Found::default();
@@ -64,7 +64,7 @@ pub struct SystemFile {
     pub components: Vec<ComponentSpec>,
     pub connections: Vec<ConnectionSpec>,
     document: Document,
-    /// It says something else than its document, by settings of the command line.
+    /// True: settings of the command line make it differ from its document.
     is_changed: bool,
 }
 
@@ -77,14 +77,14 @@ pub struct ProcessSpec {
     pub trust: TrustSpec,
     /// Address it listens on; `None`: a free port.
     pub listen: Option<String>,
-    /// Where it keeps its state, as written (relative to the file's directory).
+    /// Directory of its state, as written (relative to the file's directory).
     pub state: Option<PathBuf>,
-    /// Variables of its environment, beside those of whoever starts it.
+    /// Variables of its environment, beside those of the program that starts it.
     pub env: Vec<(String, String)>,
-    /// What follows when it ends.
+    /// Policy for its end: whether it is started again.
     pub restart: Policy,
     pub memory: MemoryBounds,
-    /// Its components may start programs.
+    /// True: its components may start programs.
     pub allow_exec: bool,
 }
 
@@ -125,9 +125,9 @@ pub struct ComponentSpec {
     pub id: ComponentId,
     /// As the file calls it: another process when it has one of its own.
     pub written: ComponentId,
-    /// When its process was started again, it goes on without being asked.
+    /// True: the component goes on without being asked when its process was started again.
     pub resumes: bool,
-    /// It has a process of its own.
+    /// True: the component has a process of its own.
     pub isolated: bool,
     pub class: String,
     pub config: Option<Value>,
@@ -157,11 +157,11 @@ impl SystemFile {
     /// # Errors
     /// As [`SystemFile::read`].
     pub fn parse(file: &str, text: String) -> Result<Self, Problem> {
-        // There is one where anything is wrong.
+        // There is a problem where anything is wrong.
         Draft::of(file, text).and_then(Draft::finished).map_err(|mut problems| problems.swap_remove(0))
     }
 
-    /// Its text; where a setting was changed, one that says the same with it.
+    /// Returns its text; where a setting was changed, one that says the same with it.
     pub fn text(&self) -> String {
         if self.is_changed { self.picture().text() } else { self.document.text.clone() }
     }
@@ -176,8 +176,8 @@ impl SystemFile {
         Ok(())
     }
 
-    /// The requests that make this system: creates (a stream's or step's owner before its members), connects, then one
-    /// Start of everything that is not `"start": false`.
+    /// Returns the requests that make this system: creates (a stream's or step's owner before its members),
+    /// connects, then one Start of everything that is not `"start": false`.
     pub fn requests(&self) -> Vec<Request> {
         let mut requests: Vec<Request> = in_thread_order(&self.components)
             .into_iter()
@@ -249,8 +249,8 @@ fn text_of(path: &Path) -> Result<String, Problem> {
     })
 }
 
-/// File order, but a component that runs in another's thread comes after that one. A cycle keeps file order: the model
-/// refuses it with its own words.
+/// Returns the components in file order, but one that runs in another's thread after that one. A cycle keeps
+/// file order: the model refuses it with its own words.
 fn in_thread_order(components: &[ComponentSpec]) -> Vec<&ComponentSpec> {
     let mut done: Vec<&ComponentSpec> = Vec::with_capacity(components.len());
     let mut left: Vec<&ComponentSpec> = components.iter().collect();

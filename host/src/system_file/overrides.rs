@@ -1,6 +1,7 @@
 //! `--set host/robot.port=/dev/ttyUSB1`: one machine's values over a shared system file.
 //!
-//! Invariant: only configuration values can be set, never classes or connections; the component must be in the file.
+//! Invariant: only configuration values can be set, never classes or connections; the component must
+//! be in the file.
 
 use std::fmt;
 

@@ -1,6 +1,7 @@
-//! Where in the file the thing a refusal is about was written.
+//! The place in the file of the thing that a refusal is about.
 //!
-//! Invariant: a refusal leads to the same place whether it comes from this process or over the wire, as reason and values.
+//! Invariant: a refusal leads to the same place whether it comes from this process or over the wire, as
+//! reason and values.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +11,7 @@ use super::SystemFile;
 use super::problem::{Problem, join};
 
 impl SystemFile {
-    /// Where in the file the thing a refusal is about was written.
+    /// Returns the place in the file of the thing that a refusal is about.
     pub fn locate(&self, refusal: &Refusal) -> Option<Problem> {
         let pointer = self.pointer_of(refusal)?;
         let at = self.document.root.nearest_to(&pointer).at;
@@ -110,8 +111,7 @@ impl SystemFile {
         }
     }
 
-    /// An option of a connection, of which its Connect was refused, or a setting of an execution, of which
-    /// its Create was.
+    /// Returns the pointer to an option of a refused Connect, or to an execution setting of a refused Create.
     fn option(&self, what: &str, field: &str) -> Option<String> {
         if let (Some(id), Some(setting)) = (what.strip_prefix("Create "), field.strip_prefix("execution.")) {
             let id = ComponentId::parse(id).ok()?;
@@ -124,7 +124,7 @@ impl SystemFile {
         Some(format!("/connections/{at}/{option}{unit}"))
     }
 
-    /// What the file calls a component.
+    /// Returns the name of a component in the file.
     pub(super) fn written<'a>(&'a self, id: &'a ComponentId) -> &'a ComponentId {
         self.components.iter().find(|c| c.id == *id).map_or(id, |c| &c.written)
     }

@@ -1,6 +1,7 @@
-//! What is wrong with a system file: where, what, and what to do.
+//! A problem of a system file: where it is, what it is, and what to do.
 //!
-//! Invariant: every problem names a place a person can jump to (file:line:column) and a place a program can (JSON pointer).
+//! Invariant: every problem names a place a person can jump to (file:line:column) and a place a program can
+//! (JSON pointer).
 
 use std::fmt;
 

@@ -1,7 +1,7 @@
 //! Positioned JSON → `SystemFile`: one function per part of the file.
 //!
 //! Invariant: every key of the format is read here and listed in `schema.rs`; a test compares the two.
-//! Whatever is wrong is noted, and the rest is read all the same; parts that may say something else than was
+//! Everything wrong is noted, and the rest is read all the same; parts that may say something else than was
 //! meant are doubted.
 
 use std::collections::BTreeSet;
@@ -271,7 +271,7 @@ fn trust(value: &Cursor<'_>) -> Result<TrustSpec, Problem> {
     }
 }
 
-/// One that cannot be made has its name all the same: what connects it is no mistake.
+/// Reads the components. One that cannot be made has its name all the same: a connection to it is no mistake.
 fn components(
     part: &Cursor<'_>,
     processes: Option<&[ProcessSpec]>,

@@ -99,8 +99,8 @@ impl Running<'_> {
     }
 }
 
-/// Settings that name a file by a path which counts from where the host was started, and in a system file from
-/// where that lies.
+/// Names the settings with a relative path of a file. Such a path counts from where the host was started, but
+/// in a system file from the folder of that file.
 fn relative_paths(components: &[ComponentSpec]) -> Option<String> {
     let is_path = |key: &str| {
         let last = key.rsplit('_').next().unwrap_or(key);
@@ -123,12 +123,14 @@ fn relative_paths(components: &[ComponentSpec]) -> Option<String> {
     })
 }
 
-/// The process like which one was made for this component alone; `None`: it lives where others may.
+/// Returns the process that served as the model for this component's own process; `None`: the component lives
+/// where others may.
 pub(super) fn home(graph: &SystemGraph, id: &ComponentId) -> Option<Name> {
     let name = id.process.as_str().strip_suffix(id.component.as_str())?.strip_suffix('.')?;
     let home: Name = name.parse().ok()?;
     let (like, its) = (graph.processes.get(&home)?, graph.processes.get(&id.process)?);
-    // One that somebody called so has other plugins, and one of the other name may be there as well.
+    // A process that was called so by a person has other plugins, and one of the other name may be
+    // there as well.
     let is_like = like.state != ProcessState::Attached
         || its.state != ProcessState::Attached
         || like.classes.len() == its.classes.len()
@@ -140,14 +142,14 @@ pub(super) fn home(graph: &SystemGraph, id: &ComponentId) -> Option<Name> {
     (is_like && alone && !graph.components.contains_key(&written)).then_some(home)
 }
 
-/// This input takes whatever it is connected to.
+/// Tells whether this input takes any type.
 fn is_untyped(graph: &SystemGraph, client: &PortId) -> bool {
     let ports = graph.components.get(&client.component).map(|c| &c.ports);
     let input = ports.and_then(|ports| ports.inputs.iter().find(|i| client.port == i.name.as_str()));
     input.is_some_and(|input| matches!(input.ty, PortType::Any))
 }
 
-/// It runs, or did until something came between.
+/// Tells whether a component runs, or did until something came between.
 fn runs(state: State) -> bool {
     match state {
         State::Created | State::Ready | State::Stopped(StopReason::Requested) => false,

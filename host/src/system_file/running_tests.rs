@@ -29,7 +29,7 @@ fn classes() -> Vec<Arc<ClassInfo>> {
         ..(*crate::gcm::fake::class()).clone()
     };
     let leg = ClassInfo { name: "leg".into(), ..arm.clone() };
-    // It moves nothing without what it requires.
+    // The hand moves nothing without what it requires.
     let mut hand = ClassInfo { name: "hand".into(), ..arm.clone() };
     hand.ports.required[0].optional = false;
     [arm, leg, hand].into_iter().map(Arc::new).collect()
@@ -151,7 +151,7 @@ fn an_isolated_component_is_saved_under_its_written_name_and_made_in_a_process_o
     let graph = made(&file, &["host", "host.a"]);
     assert_eq!(saved(&graph).0, text);
     assert_eq!(difference(&file, &graph), Difference::default());
-    // In a system that has neither, somebody has to make the process.
+    // In a system that has neither, a person has to make the process.
     let new = difference(&file, &processes(&["host"]));
     let apart = new
         .requests
@@ -242,7 +242,7 @@ fn what_waits_for_a_person_is_not_moved_and_it_is_said_what_that_person_does() {
     set_state(&mut graph, "host/a", State::Fault);
     let found = difference(&other, &graph);
     assert!(starts(&found).is_empty() && found.left[0].contains("trocar start host/a"), "{found:#?}");
-    // Somebody's own Stop is what a file is applied after.
+    // A file is applied after a person's own Stop.
     set_state(&mut graph, "host/a", State::Stopped(StopReason::Requested));
     assert_eq!(starts(&difference(&file, &graph)), ["host/a"]);
     let resumes =
@@ -264,7 +264,7 @@ fn an_actuator_that_runs_on_keeps_what_it_requires() {
     let found = difference(&slower, &graph);
     let refused = found.refused.map(|refusal| refusal.to_string()).unwrap_or_default();
     assert!(refused.contains("host/c") && refused.contains("host/b"), "{refused}");
-    // At rest it is nobody's harm.
+    // At rest the change does no harm.
     let mut graph = graph;
     set_state(&mut graph, "host/c", State::Stopped(StopReason::Requested));
     let found = difference(&slower, &graph);
@@ -308,7 +308,7 @@ fn a_component_that_moves_into_a_process_of_its_own_does_not_run_twice() {
 
 #[test]
 fn nobody_elses_component_is_taken_away_for_a_name_that_is_like_one_apart() {
-    // Somebody's own process, called so, beside a component of that name.
+    // A person's own process, called so, beside a component of that name.
     let text = RICH.replace(
         r#""host/a": { "class": "toy/arm" }"#,
         r#""host/a": { "class": "toy/arm" }, "host.a/a": { "class": "toy/leg" }"#,
@@ -402,7 +402,7 @@ fn any_file() -> impl Strategy<Value = String> {
     })
 }
 
-/// One that can be made, and the system it makes.
+/// A file that can be made, and the system it makes.
 fn any_system() -> impl Strategy<Value = (SystemFile, SystemGraph)> {
     any_file().prop_filter_map("it cannot be made", |text| {
         let (file, mut graph) = (parse(&text), processes(&["host"]));

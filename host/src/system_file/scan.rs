@@ -1,7 +1,7 @@
 //! Strict JSON with a position for every value and key, so that an error can say line and column.
 //!
-//! Invariant: `serde_json` has accepted the whole text before the scanner walks it; the scanner only adds positions and
-//! keeps what `serde_json` would hide (duplicate keys, order).
+//! Invariant: `serde_json` has accepted the whole text before the scanner walks it; the scanner only adds
+//! positions and keeps what `serde_json` would hide (duplicate keys, order).
 
 use serde_json::{Map, Number, Value};
 
@@ -64,7 +64,7 @@ pub(crate) fn line_column(text: &str, at: usize) -> (usize, usize) {
 }
 
 impl Node {
-    /// What the value is, in words.
+    /// Describes the value in words.
     pub(crate) fn describe(&self) -> String {
         match &self.kind {
             Kind::Null => "null".to_owned(),

@@ -33,7 +33,7 @@ fn parse(text: &str) -> Result<SystemFile, Problem> {
     SystemFile::parse("system.json", text.to_owned())
 }
 
-/// All that is wrong with it by itself.
+/// Returns the problems of the file by itself.
 fn checked(text: &str) -> Result<SystemFile, Vec<Problem>> {
     draft(text).and_then(Draft::finished)
 }

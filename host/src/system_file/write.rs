@@ -1,6 +1,6 @@
 //! A system as the text of a file, laid out as a person would.
 //!
-//! Invariant: what is read from the text is what was written; what is usual is left out.
+//! Invariant: a text reads back as what was written; usual values are left out.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -28,7 +28,7 @@ pub struct Picture {
 }
 
 impl SystemFile {
-    /// Its content, settings of the command line included.
+    /// Returns its content, settings of the command line included.
     pub fn picture(&self) -> Picture {
         Picture {
             processes: self.processes.clone(),
@@ -187,7 +187,7 @@ fn node(value: Value) -> Node {
     }
 }
 
-/// On one line.
+/// Writes a value on one line.
 fn flat(node: &Node) -> String {
     match node {
         Node::Value(value) => plain(value),
@@ -211,7 +211,7 @@ fn plain(value: &Value) -> String {
     }
 }
 
-/// On one line where there is room for it.
+/// Writes a value on one line where there is room for it.
 fn put(out: &mut String, node: &Node, indent: usize, room: usize) {
     let line = flat(node);
     if line.chars().count() <= room { out.push_str(&line) } else { broken(out, node, indent) }

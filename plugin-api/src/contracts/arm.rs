@@ -1,7 +1,7 @@
 //! The contract of robot arms: the CRTK interface.
 //!
-//! Invariant: names are CRTK's, letter by letter. What CRTK offers beyond the required members is listed as optional, so
-//! that an arm that has it has it in the same form as every other arm.
+//! Invariant: names are CRTK's, letter by letter. Members of CRTK beyond the required ones are listed as
+//! optional, so that every arm that has them has them in the same form.
 
 use super::{Command, Contract, Flows, Interface, Output, event, newest, read, void, write};
 

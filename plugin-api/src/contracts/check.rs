@@ -1,4 +1,5 @@
-//! Does a class fulfil a contract? Each thing in which it does not, with what it has and what the contract says.
+//! Checks whether a class fulfils a contract: lists each difference, with what the class has and what the
+//! contract says.
 //!
 //! Invariant: pure, and total over any manifest that parses.
 
@@ -46,7 +47,8 @@ pub enum Problem {
         have: String,
         want: &'static str,
     },
-    /// `what` is "argument", "result", "payload" or "type"; `have` and `want` are the first lines that differ.
+    /// `what` is "argument", "result", "payload" or "type"; `have` and `want` are the first lines that
+    /// differ.
     Type {
         what: &'static str,
         want_type: String,
@@ -96,14 +98,14 @@ impl fmt::Display for Violation {
     }
 }
 
-/// Everything in which `class` of the manifest differs from the contract; empty when it fulfils it. Members beyond the
-/// contract are nobody's business.
+/// Returns everything in which `class` of the manifest differs from the contract; empty when it fulfils it.
+/// Members beyond the contract do not count.
 pub fn check(manifest: &Manifest, class: &str, contract: &Contract) -> Vec<Violation> {
     check_as(manifest, class, contract, "")
 }
 
-/// As [`check`], where the contract's required interface is called `interface` in the class ("arm_left"), as in a class with
-/// several devices. Empty: as the contract calls it.
+/// Checks as [`check`] does, where the contract's required interface is called `interface` in the class
+/// ("arm_left"), as in a class with several devices. Empty: as the contract calls it.
 pub fn check_as(manifest: &Manifest, class: &str, contract: &Contract, interface: &str) -> Vec<Violation> {
     match manifest.classes.iter().find(|c| c.name == class) {
         Some(class) => check_class(&manifest.types, class, contract, interface),
@@ -114,7 +116,7 @@ pub fn check_as(manifest: &Manifest, class: &str, contract: &Contract, interface
     }
 }
 
-/// As [`check_as`], of a class whose description is at hand, with the types it names.
+/// Checks as [`check_as`] does a class whose description is at hand, with the types it names.
 pub fn check_class(
     types: &[NamedType],
     class: &manifest::Class,
@@ -128,7 +130,7 @@ pub fn check_class(
 
 struct Found<'a> {
     types: &'a [NamedType],
-    /// What the required interface is called in the class; empty = as in the contract.
+    /// Name of the required interface in the class; empty = as in the contract.
     called: &'a str,
     violations: Vec<Violation>,
 }
@@ -210,7 +212,8 @@ impl Found<'_> {
     fn output(&mut self, have: &manifest::Output, want: &Output) {
         let at = want.name;
         let differences: Vec<Problem> = want.one_of.iter().filter_map(|w| self.flow(&have.ty, w)).collect();
-        // The last is told: alternatives differ first in what they are, and one of them is enough.
+        // Only the last difference is told: alternatives differ first in their kind, and one of them is
+        // enough.
         if differences.len() == want.one_of.len()
             && let Some(problem) = differences.into_iter().next_back()
         {
@@ -218,7 +221,7 @@ impl Found<'_> {
         }
     }
 
-    /// How a port's type differs from what should flow.
+    /// Returns the difference between a port's type and what should flow.
     fn flow(&self, have: &PortType, want: &Flows) -> Option<Problem> {
         let differs = |have: String| {
             Some(Problem::Type { what: "type", want_type: want.text(), have, want: want.text() })

@@ -1,6 +1,7 @@
 //! `docs/INTERFACES.md` as text, from the tables.
 //!
-//! Invariant: everything a reader learns there is in the tables, so the page cannot say what the check does not.
+//! Invariant: everything a reader learns there is in the tables, so the page cannot say anything the check
+//! does not.
 
 use super::{CONTRACTS, Carries, Command, Contract, Interface, PAYLOADS, Payload};
 use std::fmt::Write;

@@ -1,7 +1,7 @@
 //! The canonical field list of a type: one line per leaf, `pose.position: [f64;3] m`.
 //!
-//! Invariant: two types have the same list exactly when a value of one may be read as the other. Manifests come from files:
-//! a type that is not there, or holds itself, ends in an error, never in an endless walk.
+//! Invariant: two types have the same list exactly when a value of one may be read as the other. Manifests
+//! come from files: a type that is missing, or contains itself, ends in an error, never in an endless walk.
 
 use super::payloads::{Payload, payload};
 use crate::manifest::{NamedType, Type};
@@ -14,7 +14,7 @@ const MAX_VISITS: usize = 4096;
 /// The field list of a manifest's type.
 ///
 /// # Errors
-/// A sentence: the type names one that is not in `types`, or is nested too deeply.
+/// A sentence: the type names a type that is not in `types`, or is nested too deeply.
 pub fn leaves_of(types: &[NamedType], ty: &Type, unit: &str) -> Result<Vec<String>, String> {
     let mut walk = Walk { types, visits: 0, out: Vec::new() };
     walk.visit(ty, "", &tail(unit, ""), 0)?;

@@ -1,8 +1,8 @@
-//! Contracts of the standard device interfaces: what an arm, a camera, a spectrometer, a tracker, a force sensor and an
-//! input device offer, so that one of them can take another's place.
+//! Contracts of the standard device interfaces: what an arm, a camera, a spectrometer, a tracker, a force
+//! sensor and an input device offer, so that one of them can take another's place.
 //!
-//! Invariant: contracts are data, [`check()`] is pure. A contract only grows by optional members; `docs/INTERFACES.md` is
-//! written from these tables.
+//! Invariant: contracts are data, [`check()`] is pure. A contract only grows by optional members;
+//! `docs/INTERFACES.md` is written from these tables.
 
 mod arm;
 mod check;
@@ -32,7 +32,7 @@ pub fn contract(name: &str) -> Result<&'static Contract, String> {
     })
 }
 
-/// What one kind of device offers.
+/// Contract of one kind of device.
 #[derive(Debug)]
 pub struct Contract {
     /// As `trocar plugin check --as` takes it.
@@ -45,7 +45,7 @@ pub struct Contract {
     pub frames: &'static str,
     /// Threads, rates and waiting.
     pub threads: &'static str,
-    /// What the device does beyond offering the members, one rule each.
+    /// Behaviour of the device beyond offering the members, one rule each.
     pub rules: &'static [&'static str],
     /// The function of `trocar_sdk::testing` that tries these rules; empty where there is none.
     pub tried_by: &'static str,
@@ -109,7 +109,7 @@ pub struct Output {
     pub one_of: &'static [Flows],
 }
 
-/// What flows through an output.
+/// Type of the data that flows through an output.
 #[derive(Clone, Copy, Debug)]
 pub enum Flows {
     /// Plain samples of this payload.
@@ -128,7 +128,7 @@ const fn write(name: &'static str, required: bool, ty: &'static str, doc: &'stat
     Command { name, doc, required, kind: "write", arg, ret, overflow: "" }
 }
 
-/// A write of which only the newest counts: one that was not taken yet is replaced.
+/// A write of which only the newest counts: it replaces one that was not taken yet.
 const fn newest(name: &'static str, required: bool, ty: &'static str, doc: &'static str) -> Command {
     Command { overflow: "latest_wins", ..write(name, required, ty, doc) }
 }

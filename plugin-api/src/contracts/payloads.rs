@@ -1,6 +1,8 @@
-//! The standard payloads by name, field by field: what `trocar_sdk::data` is, as data for checks and documents.
+//! The standard payloads by name, field by field: the content of `trocar_sdk::data`, as data for checks and
+//! documents.
 //!
-//! Invariant: the same as the structs of the SDK; a test of the SDK compares each, names, types, units and documentation.
+//! Invariant: the same as the structs of the SDK; a test of the SDK compares each, names, types, units and
+//! documentation.
 
 /// A standard payload: a struct with fields, or an integer with named values.
 #[derive(Debug)]
@@ -288,7 +290,7 @@ pub const PAYLOADS: &[Payload] = &[
                 "velocity",
                 "f64",
                 "m/s",
-                "Of the surface along the tool, away from the tip positive, against the robot's base; NaN where nobody knows it.",
+                "Velocity of the surface along the tool against the base, away from the tip positive; NaN: not known.",
             ),
             f("sigma", "f64", "m", "Standard deviation of `distance`."),
             f("snr_db", "f64", "", "The surface's echo above the noise, dB; 0 without one."),

@@ -1,6 +1,7 @@
 //! The contracts of devices that measure: camera, spectrometer, tracker, force sensor, input device.
 //!
-//! Invariant: each counts its samples from 0 and tells what it lost; a sample carries the time of its measurement.
+//! Invariant: each counts its samples from 0 and tells what it lost; a sample carries the time of its
+//! measurement.
 
 use super::{Carries, Command, Contract, Flows, Interface, Output, event, read, void};
 

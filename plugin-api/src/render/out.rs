@@ -1,8 +1,9 @@
 //! JSON, written byte by byte in a const context.
 //!
-//! Invariant: the same count of bytes whether they are kept (`N > 0`) or only counted; text is escaped as JSON asks.
+//! Invariant: the same count of bytes whether they are kept (`N > 0`) or only counted; text is escaped as
+//! JSON asks.
 
-/// What was written so far; with `N = 0` only its length.
+/// Text written so far; with `N = 0` only its length.
 pub(super) struct Out<const N: usize> {
     pub(super) buf: [u8; N],
     pub(super) len: usize,

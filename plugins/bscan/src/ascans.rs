@@ -1,13 +1,14 @@
 //! A-scans out of the frames they come in.
 //!
-//! Invariant: what comes out has a time and values; a frame of anything else is told apart before any of it is used.
+//! Invariant: A-scans that come out have a time and values; a frame of anything else is recognised before any
+//! of it is used.
 
 use trocar_sdk::data::{AScanHeader, SampleFormat};
 use trocar_sdk::prelude::*;
 
 use crate::taken::can_be;
 
-/// How A-scans become grey.
+/// Conversion of A-scans to grey.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grey {
     /// Black, dB.
@@ -17,7 +18,7 @@ pub struct Grey {
 }
 
 impl Grey {
-    /// Of black and white as they are configured, dB.
+    /// Returns the conversion for black and white as they are configured, dB.
     ///
     /// # Errors
     /// Not finite, or less than 1 dB apart.
@@ -45,8 +46,8 @@ pub enum AScan<'a> {
     Decibels(&'a [u8], Grey),
 }
 
-/// The A-scans of a frame that is taken at `now`, each with the middle of its exposure; none of a frame that is of something else, or
-/// does not say when it was taken, or says a time that is still to come.
+/// Returns the A-scans of a frame that is taken at `now`, each with the middle of its exposure; none if the
+/// frame holds something else, does not say when it was taken, or says a time that is still to come.
 pub fn ascans<'a>(
     frame: &'a FrameView<'_, AScanHeader>,
     grey: Grey,

@@ -1,9 +1,10 @@
 //! The component `bscan`: Robot-Assisted B-Scan as a behaviour that can be started and aborted at any time.
 //!
-//! Invariant: the robot is commanded in APPROACH, SCAN and RETRACT only, by velocities that end by themselves when they are not
-//! repeated, behind a guard that keeps the tip off the retina whatever is commanded. Every way out, good or bad, ends with `hold`
-//! and without the guard, and is told by exactly one event; after a bad one, and when nobody is left to tell it, the robot goes away
-//! from the retina by itself, by a bounded way, since an eye that moves comes near a tip that stands.
+//! Invariant: the robot is commanded in APPROACH, SCAN and RETRACT only, by velocities that end by themselves
+//! if they are not repeated, behind a guard that keeps the tip off the retina whatever is commanded. Every
+//! way out, good or bad, ends with `hold` and without the guard, and is told by exactly one event. After a
+//! bad one, and after the death of this component, the robot goes away from the retina by itself, by a
+//! bounded way, since an eye that moves comes near a tip that stands.
 
 mod commands;
 mod config;
@@ -29,15 +30,16 @@ use crate::taken::{Taken, Track};
 use config::BScanConfig;
 use ending::Owed;
 
-/// The loop is not closed above this measured delay, from exposure to step and from robot to step, s. The prediction is stable to
-/// 10 ms.
+/// The loop is not closed above this measured delay, from exposure to step and from robot to step, s. The
+/// prediction is stable to 10 ms.
 const LONGEST_DELAY_S: f64 = 0.012;
 /// A surface that was not seen for this long ends a scan, s.
 const SURFACE_LOST_S: f64 = 0.05;
 /// A robot that does not tell where it is for this long ends a scan, s.
 const ROBOT_LOST_S: f64 = 0.02;
 
-/// Robot-Assisted B-Scan: goes along a line at a constant distance from the retina and makes an image of the A-scans.
+/// Robot-Assisted B-Scan: goes along a line at a constant distance from the retina and makes an image of the
+/// A-scans.
 #[derive(Component)]
 #[component(name = "bscan", rate_hz = 1000, models("periodic", "exec_in", "exec_out"), rates_hz(100, 8000))]
 pub struct BScan {
@@ -53,7 +55,7 @@ pub struct BScan {
     /// Each column of the image when it is there: where it was taken
     #[output]
     column: Out<ScanColumn>,
-    /// Where the tip is.
+    /// Pose of the tip.
     #[required(interface = "robot")]
     measured_cp: Function<(), Pose>,
     /// Whether it takes motions.
@@ -71,7 +73,7 @@ pub struct BScan {
     /// Moves the tip along the tool.
     #[required(interface = "axis", name = "servo_cv")]
     servo_along: Function<Twist>,
-    /// What the robot does by itself when this component dies in a scan.
+    /// Way back that the robot takes by itself when this component dies in a scan.
     #[required(interface = "axis", optional)]
     set_retreat: Function<Retreat>,
     /// Keeps the tip min_distance_m off the retina while a scan runs: the robot's own fixture.
@@ -115,21 +117,21 @@ pub struct BScan {
     goes_back: bool,
     /// From tip to surface when that was seen last, or as predicted since, if that is less, m.
     near_m: f64,
-    /// What the robot was told when the last scan ended, and has not taken.
+    /// Commands at the end of the last scan that the robot has not taken.
     owed: Owed,
-    /// Where the tip was then, and how far it goes back from there, m.
+    /// Position of the tip at that end, and its way back from there, m.
     from_m: [f64; 3],
     way_m: f64,
     last: Distance,
     scan: Scan,
-    /// Of the column that grows.
+    /// Time and place of the column that grows.
     taken: Taken,
     track: Track,
     sending: Sending,
     grey: Grey,
     /// Rows and columns that there is room for.
     built: Option<(usize, usize)>,
-    /// Of the last step.
+    /// Time of the last step.
     now: Stamp,
 }
 

@@ -1,7 +1,9 @@
-//! Keeps the tip at a constant distance from a surface that moves: PI control with the surface's own velocity ahead of it.
+//! Keeps the tip at a constant distance from a surface that moves: PI control with the surface's own velocity
+//! ahead of it.
 //!
-//! Invariant: the surface is placed where it was when it was seen, on the line of the tip's travel, and only then brought to
-//! now. The speed it asks for never brings the tip nearer than `min_distance_m`, as far as anybody can predict.
+//! Invariant: the surface is placed where it was when it was seen, on the line of the tip's travel, and only
+//! then brought to now. The speed it asks for never brings the tip nearer than `min_distance_m`, as far as
+//! this can be predicted.
 
 use trocar_oct_core::tip::TipTravel;
 
@@ -18,7 +20,7 @@ pub struct Settings {
     pub approach_m_s: f64,
     /// The tip never goes nearer than this, m.
     pub min_distance_m: f64,
-    /// Of the whole loop, from the exposure to the tip's answer, s; bounds the gains.
+    /// Delay of the whole loop, from the exposure to the tip's answer, s; bounds the gains.
     pub delay_s: f64,
     /// Without a new surface the tip follows the last velocity for this long, s; then it stands still.
     pub coast_s: f64,
@@ -38,13 +40,14 @@ impl Default for Settings {
     }
 }
 
-/// Highest gain times the loop's delay: 90° − 0.5 rad leave a margin of 61° to an integrator (Åström, Murray, *Feedback Systems*,
-/// 2008, ch. 9.3).
+/// Highest gain times the loop's delay: 90° − 0.5 rad leave a margin of 61° to an integrator (Åström, Murray,
+/// *Feedback Systems*, 2008, ch. 9.3).
 const GAIN_DELAY: f64 = 0.5;
-/// Highest commanded speed per distance to the forbidden region, 1/s: the drive brakes within a few ms. The robot's own guard is another.
+/// Highest commanded speed per distance to the forbidden region, 1/s: the drive brakes within a few ms. The
+/// robot's own guard has another rate.
 const BRAKE_PER_S: f64 = 40.0;
-/// A surface that is further from where it was expected is none, m: no eye moves so far between two looks, and the next layer
-/// with an echo of its own lies 67 µm below.
+/// A surface that is further from where it was expected is not taken for one, m: no eye moves so far between
+/// two looks, and the next layer with an echo of its own lies 67 µm below.
 pub const JUMP_M: f64 = 60e-6;
 /// Errors above this are on the way in, not to be integrated, m.
 const SMALL_M: f64 = 20e-6;
@@ -57,7 +60,7 @@ struct Place {
     velocity_m_s: f64,
 }
 
-/// What to do now.
+/// Command for the next period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Advice {
     /// Along the tool, m/s.
@@ -66,7 +69,7 @@ pub struct Advice {
     pub distance_m: f64,
     /// Since the surface was seen, s.
     pub age_s: f64,
-    /// It is too old to be followed: the speed is 0.
+    /// The surface is too old to be followed: the speed is 0.
     pub blind: bool,
 }
 
@@ -84,13 +87,13 @@ impl Depth {
         self.integral_m_s = 0.0;
     }
 
-    /// Where the tip is by the encoders.
+    /// Takes the place of the tip by the encoders.
     pub fn tip_at(&mut self, ns: u64, position_m: [f64; 3], orientation: &[f64; 4]) {
         self.tip.push(ns, position_m, orientation);
     }
 
-    /// A surface was seen `distance_m` before the tip, moving at `velocity_m_s`. False when nobody knows where the tip was
-    /// then.
+    /// Takes a surface that was seen `distance_m` before the tip, moving at `velocity_m_s`. False if the
+    /// tip's place at that time is unknown.
     pub fn surface_at(&mut self, ns: u64, distance_m: f64, velocity_m_s: f64) -> bool {
         let Some(tip_m) = self.tip.at(ns) else { return false };
         if !(distance_m.is_finite() && velocity_m_s.is_finite()) {
@@ -102,7 +105,8 @@ impl Depth {
         true
     }
 
-    /// How far a surface `distance_m` before the tip is from where the last one has gone meanwhile, m; 0 while none is known.
+    /// Returns the distance between a surface `distance_m` before the tip and the place to which the last one
+    /// has gone meanwhile, m; 0 while none is known.
     pub fn jump_m(&self, ns: u64, distance_m: f64) -> f64 {
         let Some((place, tip_m)) = self.place.zip(self.tip.at(ns)) else { return 0.0 };
         let age_s = ns.saturating_sub(place.ns) as f64 * 1e-9;
@@ -129,7 +133,7 @@ impl Depth {
         let ki_per_s2 = s.ki_per_s2.min(0.25 * kp_per_s * kp_per_s);
         if error_m.abs() < SMALL_M {
             self.integral_m_s += ki_per_s2 * error_m * dt_s;
-            // It makes up for what the prediction lacks, which is never much.
+            // The integral makes up for what the prediction lacks, which is never much.
             self.integral_m_s = self.integral_m_s.clamp(-s.approach_m_s, s.approach_m_s);
         }
         // Away from the surface at any speed, towards it slowly.

@@ -33,7 +33,7 @@ pub struct Flatten {
     /// Images of scans, GRAY8
     #[input]
     image: In<Frame<ImageHeader>>,
-    /// The same images, of `rows` rows; what they did not show is black
+    /// The same images, of `rows` rows; pixels that they did not show are black
     #[output]
     flattened: Out<Frame<ImageHeader>>,
     /// Images since Start that were laid straight.

@@ -1,6 +1,7 @@
 //! Images of A-scans: one that grows along a line, and one that rolls with time.
 //!
-//! Invariant: room is made once; a column is the mean of the A-scans that fell into it, and one without any stays black.
+//! Invariant: room is made once; a column is the mean of the A-scans that fell into it, and one without any
+//! stays black.
 
 use crate::ascans::{AScan, Grey};
 
@@ -73,8 +74,8 @@ impl Scan {
         (self.current, self.filled) = (None, 0);
     }
 
-    /// Adds an A-scan to `column`; one that lies behind the column that grows, or outside of the image, is left out. Gives
-    /// the column that was ended by it, and of how many A-scans that was made.
+    /// Adds an A-scan to `column`; one that lies behind the column that grows, or outside of the image, is
+    /// left out. Returns the column that was ended by it, and the number of its A-scans.
     pub fn add(&mut self, column: usize, ascan: AScan<'_>) -> Option<(usize, u32)> {
         if column >= self.width || self.current.is_some_and(|current| column < current) {
             return None;

@@ -1,4 +1,5 @@
-//! Robot-Assisted B-Scan: the tip goes along a line at a constant distance from a retina that moves, and an image grows.
+//! Robot-Assisted B-Scan: the tip goes along a line at a constant distance from a retina that moves, and an
+//! image grows.
 //!
 //! Invariant: `depth`, `line` and `image` decide and compute; the component `bscan` alone commands the robot;
 //! `mscan` and `flatten` command nobody.

@@ -1,7 +1,7 @@
 //! The line a scan goes along, and the way from it to the speed across the tool.
 //!
-//! Invariant: a line that exists lies across the tool, has a length and finite numbers; what cannot be one is refused with
-//! the number that is wrong and what it may be.
+//! Invariant: a line that exists lies across the tool, has a length and finite numbers; a request that cannot
+//! be one is refused with the number that is wrong and what it may be.
 
 use std::fmt;
 
@@ -20,7 +20,7 @@ pub const FARTHEST_M: f64 = 1.2e-3;
 /// The tip keeps at least this much further away than the forbidden region begins, m.
 pub const MARGIN_M: f64 = 50e-6;
 
-/// How fast speed along the line grows, m/s².
+/// Acceleration along the line, m/s².
 const ACCELERATION_M_S2: f64 = 0.02;
 /// Speed per distance from the line, 1/s.
 const ACROSS_PER_S: f64 = 10.0;
@@ -30,7 +30,8 @@ const CORRECTION_M_S: f64 = 1e-3;
 const COMING_M_S: f64 = 2e-3;
 /// A tip so near to the place where the scan sets off is there, m.
 const AT_START_M: f64 = 15e-6;
-/// That place is so far before the line's begin, m: a tip that counts as there has not passed the first column.
+/// Distance of that place before the line's begin, m: a tip that counts as there has not passed the first
+/// column.
 const RUN_UP_M: f64 = AT_START_M;
 /// A scan takes at most so many times its way over its speed, and so much more, s.
 const SLOWEST: f64 = 1.5;
@@ -101,12 +102,13 @@ impl Line {
         })
     }
 
-    /// How far along the line a tip is, m.
+    /// Returns the way of a tip along the line, m.
     pub fn along_m(&self, tip_m: &[f64; 3]) -> f64 {
         along(&[0, 1, 2].map(|i| tip_m[i] - self.start_m[i]), &self.direction)
     }
 
-    /// Velocity across the tool that brings a tip to where the scan sets off, m/s, and whether it is near enough to do so.
+    /// Returns the velocity across the tool that brings a tip to where the scan sets off, m/s, and whether it
+    /// is near enough to do so.
     pub fn to_start(&self, tip_m: &[f64; 3]) -> ([f64; 3], bool) {
         let start_m = [0, 1, 2].map(|i| self.start_m[i] - RUN_UP_M * self.direction[i]);
         let left = across(&[0, 1, 2].map(|i| start_m[i] - tip_m[i]), &self.axis);
@@ -121,7 +123,7 @@ impl Line {
         self.speed_m_s.min(ACCELERATION_M_S2 * since_s)
     }
 
-    /// How long after it set off a tip is at the end at the latest, s.
+    /// Returns the longest time in which a tip that set off comes to the end, s.
     pub fn latest_s(&self) -> f64 {
         SLOWEST * (AT_START_M + RUN_UP_M + self.length_m) / self.speed_m_s + LATEST_S
     }
@@ -134,7 +136,7 @@ impl Line {
         [0, 1, 2].map(|i| self.direction[i] * speed_m_s - back_per_s * beside[i])
     }
 
-    /// How far a tip is from where the line has it, `planned_m` after its begin, m.
+    /// Returns the distance of a tip from its planned place on the line, `planned_m` after its begin, m.
     pub fn lag_m(&self, tip_m: &[f64; 3], planned_m: f64) -> f64 {
         let beside = self.beside(tip_m);
         along(&beside, &beside).sqrt().hypot(planned_m - self.along_m(tip_m))

@@ -1,6 +1,6 @@
 //! The component `mscan`: the last moments of an OCT as an image that rolls.
 //!
-//! Invariant: it commands nobody; what are no A-scans is counted, and the next good ones go on.
+//! Invariant: it sends no commands; frames without A-scans are counted, and the next good ones go on.
 
 use trocar_sdk::data::{AScanHeader, ArmState, Distance, ImageHeader};
 use trocar_sdk::prelude::*;
@@ -41,7 +41,7 @@ pub struct MScan {
     /// A-scans, f32 in dB or bytes
     #[input(fifo = 64)]
     ascan: In<Frame<AScanHeader>>,
-    /// Where the tip is: without it, columns have no pose
+    /// Pose of the tip: without it, columns have no pose
     #[input(optional, fifo = 64)]
     robot: In<ArmState>,
     /// From the tip to the retina: without it, columns have no distance
@@ -74,7 +74,7 @@ pub struct MScan {
     #[config]
     cfg: MScanConfig,
     rolling: Rolling,
-    /// Of the column that grows.
+    /// Time and place of the column that grows.
     taken: Taken,
     track: Track,
     sending: Sending,

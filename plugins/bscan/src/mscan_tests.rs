@@ -55,7 +55,8 @@ fn what_are_no_a_scans_is_counted_and_the_next_good_one_is_shown() {
     assert_eq!(newest(&mut bench).1, [0, 0, 8].repeat(4));
 }
 
-/// A-scans, distances and poses of two columns: the second one of each pair of A-scans 250 µs after the first.
+/// A-scans, distances and poses of two columns: the second one of each pair of A-scans 250 µs after the
+/// first.
 fn push_all(bench: &mut Bench<MScan>) {
     let at = |ns| Stamp::from_ns(ns);
     for (ns, distance, valid) in

@@ -1,6 +1,7 @@
-//! What was told of the last moments: where the tip was, and how far the surface.
+//! Values of the last moments: the place of the tip, and the distance of the surface.
 //!
-//! Invariant: between two values it is between them; nothing is said of times before those that are kept, or long after them.
+//! Invariant: a value between two others lies between them; times before those that are kept, or long after
+//! them, have no value.
 
 use trocar_sdk::data::{Distance, Pose};
 use trocar_sdk::prelude::*;
@@ -10,11 +11,11 @@ const LATEST_NS: u64 = 5_000_000;
 
 /// A value of one moment.
 pub trait Told: Copy + Default {
-    /// Whose.
+    /// Returns its time.
     fn stamp(&self) -> Stamp;
-    /// What it is at `stamp`, `part` of the way from `self` to `late`.
+    /// Returns the value at `stamp`, `part` of the way from `self` to `late`.
     fn towards(&self, late: &Self, part: f64, stamp: Stamp) -> Self;
-    /// What it is at a later `stamp` of which nobody told.
+    /// Returns the value at a later `stamp`, for which none was told.
     fn kept_until(&self, stamp: Stamp) -> Self;
 }
 
@@ -24,7 +25,8 @@ impl Told for Pose {
     }
 
     fn towards(&self, late: &Pose, part: f64, stamp: Stamp) -> Pose {
-        // q and −q are one turn: the nearer of both, and along the chord, which a millisecond does not tell from the arc.
+        // q and −q are one turn: the nearer of both is taken, and along the chord, which within a millisecond
+        // does not differ from the arc.
         let dot: f64 = (0..4).map(|i| self.orientation[i] * late.orientation[i]).sum();
         let side = if dot < 0.0 { -1.0 } else { 1.0 };
         let turn = [0, 1, 2, 3].map(|i| mix(self.orientation[i], side * late.orientation[i], part));
@@ -90,7 +92,7 @@ impl<T: Told, const KEPT: usize> Past<T, KEPT> {
         self.count > 0 && stamp <= self.ring[self.newest].stamp()
     }
 
-    /// What it was at `stamp`; none where it is not known.
+    /// Returns the value at `stamp`; none if it is not known.
     pub fn at(&self, stamp: Stamp) -> Option<T> {
         let back = |n: usize| &self.ring[(self.newest + KEPT - n) % KEPT];
         if self.count > 0 && stamp > back(0).stamp() {

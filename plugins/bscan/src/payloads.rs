@@ -5,8 +5,9 @@
 use trocar_sdk::data::Pose;
 use trocar_sdk::prelude::*;
 
-/// A scan to make. Where `width` is above 0, the line goes through the tip, half of it to each side, at `angle` from the
-/// base's x to its y axis; else from `from` to `to`. Only what is across the tool counts: depth is the scan's own affair.
+/// A scan to make. If `width` is above 0, the line goes through the tip, half of it to each side, at `angle`
+/// from the base's x to its y axis; else from `from` to `to`. Only what is across the tool counts: depth is
+/// the scan's own affair.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct ScanRequest {
@@ -29,7 +30,7 @@ pub struct ScanRequest {
 }
 
 named_values! {
-    /// What the scan does.
+    /// State of the scan.
     pub struct Phase: u32 {
         /// Nothing: the robot is not commanded.
         IDLE = 0,
@@ -42,7 +43,7 @@ named_values! {
     }
 }
 
-/// How far a scan is.
+/// Progress of a scan.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Progress {
@@ -56,7 +57,8 @@ pub struct Progress {
     pub of: u32,
     /// The tracker's last distance was valid.
     pub surface: Flag,
-    /// The last scan ended before its end, and the tip has not gone back from the surface yet: an eye that moves comes near it.
+    /// The last scan ended before its end, and the tip has not gone back from the surface yet: an eye that
+    /// moves comes near it.
     pub stranded: Flag,
     pub reserved: [u8; 2],
     /// Predicted for now, from tip to surface.
@@ -68,8 +70,8 @@ pub struct Progress {
     /// From the middle of an exposure to the step that sees its distance, mean.
     #[unit("s")]
     pub delay: f64,
-    /// Of the whole loop, to which the gains give way: that and the age of the robot's pose, which together are the measured delay and end
-    /// a scan above 12 ms, and the robot's own lag as configured.
+    /// Delay of the whole loop, to which the gains give way: `delay` and the age of the robot's pose, which
+    /// together are the measured delay and end a scan above 12 ms, and the robot's own lag as configured.
     #[unit("s")]
     pub loop_delay: f64,
     /// Commands of this scan that the robot did not take: hold, move_cr, set_guard, set_retreat.
@@ -87,7 +89,7 @@ pub struct ScanColumn {
     pub column: u32,
     /// A-scans in it.
     pub lines: u32,
-    /// Of the tip, in the robot's base frame, with the same stamp; stamp 0 where the robot did not tell.
+    /// Pose of the tip, in the robot's base frame, with the same stamp; stamp 0 if the robot did not tell it.
     pub pose: Pose,
     /// From the tip to the surface, as tracked; NaN where that A-scan shows none, or nobody told.
     #[unit("m")]

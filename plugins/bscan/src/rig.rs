@@ -1,7 +1,8 @@
-//! A closed loop in virtual time for tests: phantom, spectra, the whole processing chain, tracker, the component `bscan` and
-//! the component `eyerobot`, each on its bench.
+//! A closed loop in virtual time for tests: phantom, spectra, the whole processing chain, tracker, the
+//! component `bscan` and the component `eyerobot`, each on its bench.
 //!
-//! Invariant: a run is a function of its setup. Control sees encoders and spectra only; truth goes into `Record`.
+//! Invariant: a run is a function of its setup. Control sees encoders and spectra only; truth goes into
+//! `Record`.
 
 mod judging;
 
@@ -33,13 +34,13 @@ const LINE_NS: u64 = 250_000;
 pub(crate) const OFFSET_M: f64 = 500e-6;
 /// The tip is never nearer to the surface than this, in no run, m.
 pub(crate) const NEAREST_M: f64 = 150e-6;
-/// Worlds that differ in what is random in them.
+/// Number of worlds that differ in their random parts.
 const SEEDS: u64 = 4;
 /// With all joints zero the robot's tip stands so far above the world's origin, m.
 const STANDOFF_M: f64 = 1e-3;
-/// How the robot of the demo stands: roll and tilt at home, rad, and from the tip to the wall of the eye, m.
+/// Stance of the demo's robot: roll and tilt at home, rad, and from the tip to the wall of the eye, m.
 pub(crate) const FROM_THE_SIDE: [f64; 3] = [-0.785, 0.48, 22e-3];
-/// Where the robot's base frame has the world's origin, m.
+/// Height of the world's origin in the robot's base frame, m.
 pub(crate) const APEX_Z_M: f64 = 0.12 + STANDOFF_M;
 /// Periods in which the robot is brought over the eye.
 const PLACING: u64 = 400;
@@ -63,9 +64,10 @@ pub(crate) struct Setup {
     /// Over which place of the eye (x, y) the tip begins, and how high above the surface, m.
     pub(crate) place_m: [f64; 3],
     pub(crate) offset_m: f64,
-    /// Where the line ends, along x, m.
+    /// End of the line, along x, m.
     pub(crate) end_m: f64,
-    /// Roll and tilt of the tool at home, rad, and how far behind the tip the wall of the eye holds it, m; 0 is no wall.
+    /// Roll and tilt of the tool at home, rad, and the distance from the tip back to the wall of the eye that
+    /// holds it, m; 0 is no wall.
     pub(crate) stand: [f64; 3],
 }
 
@@ -106,7 +108,7 @@ impl Setup {
     }
 }
 
-/// What truly happened at one line.
+/// Truth at one line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Truth {
     pub(crate) ns: u64,
@@ -120,7 +122,7 @@ pub(crate) struct Truth {
     pub(crate) nearest_m: f64,
     pub(crate) ilm_m: f64,
     pub(crate) epithelium_m: f64,
-    /// What the tracker said of it.
+    /// Reading of the tracker.
     pub(crate) measured: Distance,
 }
 
@@ -139,9 +141,9 @@ pub(crate) struct Rig {
     across: Vector3<f64>,
     pose: Rc<Cell<Pose>>,
     told: Rc<Cell<OperatingState>>,
-    /// What the robot tells of its operating state, where it is not what it is.
+    /// Operating state that the robot tells instead of its true one.
     pub(crate) pretends: Option<OperatingState>,
-    /// What the robot tells of its pose is so many periods old.
+    /// Age of the pose that the robot tells, periods.
     pub(crate) pose_late: usize,
     past: VecDeque<Pose>,
     /// The robot tells a turn that is none.
@@ -155,7 +157,8 @@ pub(crate) struct Rig {
     /// Lines up to this one see the deepest layer alone.
     pub(crate) deep_until_ns: u64,
     pub(crate) truth: Vec<Truth>,
-    /// Where the shaft goes through the wall of the eye, in the world, and how far beside it the shaft was after each period, m.
+    /// Place at which the shaft goes through the wall of the eye, in the world, and its distance from the
+    /// shaft after each period, m.
     port: Point3<f64>,
     pub(crate) beside_port_m: Vec<f64>,
     pub(crate) held: usize,
@@ -169,7 +172,7 @@ pub(crate) struct Rig {
     pub(crate) watched: bool,
 }
 
-/// What a robot tells that takes motions.
+/// Returns the state of a robot that takes motions.
 pub(crate) fn ready() -> OperatingState {
     OperatingState { state: OperatingMode::ENABLED, is_homed: true.into(), ..OperatingState::default() }
 }
@@ -416,14 +419,14 @@ impl Rig {
         self.setup.world.below(tip, &Vector3::z_axis(), t_s).expect("over the retina").distance_m
     }
 
-    /// How far along the line a tip (m, world) is, from the middle of the usual line, m.
+    /// Returns the way of a tip (m, world) along the line, from the middle of the usual line, m.
     fn along_m(&self, tip: &Point3<f64>) -> f64 {
         let way = Vector3::x() - self.across * self.across.x;
         let from_apex = self.world_from_base.inverse_transform_point(tip) - Point3::new(0.0, 0.0, APEX_Z_M);
         from_apex.dot(&way.normalize())
     }
 
-    /// How much shorter than the request a line across the tool is.
+    /// Returns the length of a line across the tool as a part of the requested one.
     pub(crate) fn part_across(&self) -> f64 {
         (1.0 - self.across.x * self.across.x).sqrt()
     }
@@ -451,7 +454,7 @@ impl Rig {
             .for_each(|command| self.bench.fail(command, Outcome::Queued));
     }
 
-    /// What the arm has not taken never comes to it.
+    /// Drops commands that the arm has not taken: they never come to it.
     fn drop_refused(&mut self) {
         for command in self.refuses {
             match *command {

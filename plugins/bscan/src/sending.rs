@@ -1,7 +1,8 @@
 //! Images on their way out.
 //!
-//! Invariant: an image goes out whole or not at all, with the time of its newest A-scan, and not again before another one came: so
-//! nobody takes one of an OCT that is silent for news. Their numbers have no gap.
+//! Invariant: an image goes out whole or not at all, with the time of its newest A-scan, and not again before
+//! another one came: so an image of an OCT that is silent never passes for a new one. Their numbers have no
+//! gap.
 
 use trocar_sdk::RateLimit;
 use trocar_sdk::data::{ImageHeader, PixelFormat};
@@ -55,7 +56,7 @@ impl Sending {
         *self = Sending { index: self.index, ..Sending::default() };
     }
 
-    /// Sends an image of `width` times `height` pixels that `draw` draws; false where there is no frame for it.
+    /// Sends an image of `width` times `height` pixels that `draw` draws; false if there is no frame for it.
     pub(crate) fn send(
         &mut self,
         to: &mut Out<Frame<ImageHeader>>,

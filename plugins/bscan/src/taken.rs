@@ -1,7 +1,8 @@
-//! Where and when the columns of an image were taken.
+//! Time and place of an image's columns.
 //!
-//! Invariant: pose and distance of a column are those of one moment, that of its first A-scan, however late either is told. What has
-//! no time, or one that is still to come, is not taken: it would make all that follows too late.
+//! Invariant: pose and distance of a column are those of one moment, that of its first A-scan, however late
+//! either is told. A value that has no time, or one that is still to come, is not taken: it would make all
+//! that follows too late.
 
 use trocar_sdk::data::{Distance, Pose};
 use trocar_sdk::prelude::*;
@@ -13,7 +14,7 @@ use crate::payloads::ScanColumn;
 const POSES: usize = 64;
 const DISTANCES: usize = 256;
 
-/// How far a time may lie ahead of the step that takes it, s: as far as the tip's time line can be asked.
+/// Most that a time may lie ahead of the step that takes it, s: as far as the tip's time line can be asked.
 pub const AHEAD_S: f64 = 0.005;
 
 /// No tip and no surface is measured further away, m, or faster, m/s.
@@ -24,7 +25,7 @@ pub fn can_be(stamp: Stamp, now: Stamp) -> bool {
     stamp.is_valid() && !stamp.is_ahead_of(now, AHEAD_S)
 }
 
-/// What robot and tracker told of the last moments.
+/// Readings of robot and tracker in the last moments.
 #[derive(Clone, Debug, Default)]
 pub struct Track {
     poses: Past<Pose, POSES>,
@@ -32,7 +33,8 @@ pub struct Track {
 }
 
 impl Track {
-    /// Where the tip is by the encoders, as it is told at `now`; false for what is no pose, or none that can be.
+    /// Takes the tip's pose by the encoders, as it is told at `now`; false for a value that is no pose, or an
+    /// impossible one.
     pub fn tip_at(&mut self, pose: Pose, now: Stamp) -> bool {
         let good = can_be(pose.stamp, now) && pose.position.iter().all(|p| p.abs() <= MOST);
         if good {
@@ -41,7 +43,7 @@ impl Track {
         good
     }
 
-    /// What was seen in one A-scan, as it is told at `now`; false where it cannot have been seen then.
+    /// Takes the distance seen in one A-scan, as it is told at `now`; false if it cannot have been seen then.
     pub fn surface_at(&mut self, seen: Distance, now: Stamp) -> bool {
         // A velocity that is no number is not known.
         let moves = seen.velocity.is_nan() || seen.velocity.abs() <= MOST;

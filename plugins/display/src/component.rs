@@ -1,6 +1,7 @@
 //! The component `display`: counts what arrives and how old it is, and shows it where that is asked for.
 //!
-//! Invariant: frames + gaps is what the source sent since the first frame shown; showing never changes what is counted.
+//! Invariant: frames + gaps is what the source sent since the first frame shown; showing never changes what
+//! is counted.
 
 use trocar_sdk::RateLimit;
 use trocar_sdk::data::{ImageHeader, StereoHeader};
@@ -18,22 +19,23 @@ const BURST: usize = 8;
 
 #[derive(Config)]
 struct DisplayConfig {
-    /// Port of 127.0.0.1 at which a browser sees the frames: `/` lists the displays, `/stream/NAME` shows one, with `/left` or
-    /// `/right` behind it one eye's. 0 is any free one. Displays of a process may share a port. None: not at all
+    /// Port of 127.0.0.1 at which a browser sees the frames: `/` lists the displays, `/stream/NAME` shows
+    /// one, with `/left` or `/right` behind it one eye's. 0 is any free one. Displays of a process may share
+    /// a port. None: not at all
     #[config(min = 0, max = 65535, default = None)]
     mjpeg_port: Option<u16>,
     /// NAME in the address: letters, digits, `_`, `-`; empty for the component's own
     #[config(default = "")]
     name: String,
-    /// Most pictures per second for a browser; each costs the step one copy of the frame. While nobody looks, up to 16 MB/s are
-    /// copied, so that who comes sees the newest frame
+    /// Most pictures per second for a browser; each costs the step one copy of the frame. While nobody looks,
+    /// up to 16 MB/s are copied, so that who comes sees the newest frame
     #[config(live, min = 0.1, max = 240.0, unit = "Hz", default = 15.0)]
     mjpeg_hz: f64,
     /// Quality of the browser's pictures
     #[config(min = 1, max = 100, unit = "%", default = 75)]
     mjpeg_quality: u8,
-    /// A picture this old, by its stamp, is marked in browser and window, by a red frame and how old it is; 0: never, for pictures
-    /// that come now and then
+    /// A picture this old, by its stamp, is marked in browser and window, by a red frame and how old it is;
+    /// 0: never, for pictures that come now and then
     #[config(live, min = 0.0, max = 3600.0, unit = "s", default = 0.5)]
     stale_after_s: f64,
     /// Whether a window is opened
@@ -47,7 +49,8 @@ struct DisplayConfig {
     max_height: usize,
 }
 
-/// Takes frames as a screen would: off-screen for tests and measurements, as MJPEG for a browser, in a window.
+/// Takes frames as a screen would: off-screen for tests and measurements, as MJPEG for a browser, in a
+/// window.
 #[derive(Component)]
 #[component(model = "on_signal", provides("screen"))]
 pub struct Display {
@@ -86,7 +89,8 @@ pub struct Display {
     #[state]
     #[unit("px")]
     height: u32,
-    /// Whether browsers can see the frames: OFF, WAITING (somebody has the port, it is tried again), LISTENING, REFUSED.
+    /// Whether browsers can see the frames: OFF, WAITING (somebody has the port, it is tried again),
+    /// LISTENING, REFUSED.
     #[state]
     mjpeg: Serving,
     /// Port at which a browser sees the frames; 0 without one.

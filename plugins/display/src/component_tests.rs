@@ -70,8 +70,8 @@ fn shows_until<T>(bench: &mut Bench<Display>, mut done: impl FnMut(&mut Bench<Di
     unreachable!()
 }
 
-/// The first picture of a stream: what was said before it, width, height, colours left and right of its middle, and in its
-/// corner.
+/// The first picture of a stream: what was said before it, width, height, colours left and right of its
+/// middle, and in its corner.
 type Picture = (String, u32, u32, [[u8; 3]; 2], [u8; 3]);
 
 fn first_picture(bench: &mut Bench<Display>, path: &str) -> Picture {

@@ -1,7 +1,8 @@
 //! Copies of frames for a thread that shows them: the newest one, whatever it has time for.
 //!
-//! Invariant: the step never waits and never allocates: of three buffers one is always its own. What is handed over is whole: a
-//! frame whose header lies, or that does not fit, leaves the one before it where it is.
+//! Invariant: the step never waits and never allocates: of three buffers one is always its own. What is
+//! handed over is whole: a frame whose header lies, or that does not fit, leaves the one before it where it
+//! is.
 
 use triple_buffer::{Input, Output, triple_buffer};
 

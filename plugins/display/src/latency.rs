@@ -1,6 +1,7 @@
 //! Percentiles of many times in a fixed room.
 //!
-//! Invariant: a percentile is told at most a 32nd above the true one, and none of the counted times is forgotten.
+//! Invariant: a percentile is told at most a 32nd above the true one, and none of the counted times is
+//! forgotten.
 
 use trocar_sdk::prelude::*;
 

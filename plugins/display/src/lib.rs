@@ -1,7 +1,7 @@
 //! `display`: where video ends: off-screen with its figures, in a browser as MJPEG, in a window.
 //!
-//! Invariant: the step counts, and copies a frame where somebody looks, or may come, and a free buffer is there; whatever waits for people or
-//! networks is in threads of its own.
+//! Invariant: the step counts, and copies a frame where somebody looks, or may come, and a free buffer is
+//! there; whatever waits for people or networks is in threads of its own.
 #![forbid(unsafe_code)]
 
 mod component;

@@ -11,7 +11,8 @@ use crate::freshness::Stale;
 const RED: [u8; 3] = [255, 0, 0];
 const WHITE: [u8; 3] = [255; 3];
 
-/// Marks `images` images of one size that stand side by side in `rgb`, rows touching, `wide` × `high` px together.
+/// Marks `images` images of one size that stand side by side in `rgb`, rows touching, `wide` × `high` px
+/// together.
 pub(crate) fn draw(rgb: &mut [u8], (wide, high): (usize, usize), images: usize, stale: Stale) {
     let each = wide / images.max(1);
     let border = (each.min(high) / 48).clamp(1, 16);

@@ -1,7 +1,8 @@
 //! A display's pictures as JPEG, for whoever looks at them in a browser.
 //!
-//! Invariant: pictures are made only while somebody looks, and only the newest is kept: a slow viewer misses some and holds up
-//! nobody. Who comes late sees the newest frame at once, also when no other ever comes; one that is stale is marked.
+//! Invariant: pictures are made only while somebody looks, and only the newest is kept: a slow viewer misses
+//! some and holds up nobody. Who comes late sees the newest frame at once, also when no other ever comes; one
+//! that is stale is marked.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -122,7 +123,8 @@ pub(crate) struct Viewer {
 }
 
 impl Viewer {
-    /// The newest picture not seen before, waiting for it for a time; `None` when none came. An error when none will.
+    /// The newest picture not seen before, waiting for it for a time; `None` when none came. An error when
+    /// none will.
     ///
     /// # Errors
     /// The display has stopped.

@@ -1,7 +1,7 @@
 //! What a browser is answered: texts, the list of streams, and a stream's pictures one after the other.
 //!
-//! Invariant: nothing may be kept, guessed at, or shown inside another page, and each piece has to be taken within a bounded
-//! time, however slowly it is taken.
+//! Invariant: nothing may be kept, guessed at, or shown inside another page, and each piece has to be taken
+//! within a bounded time, however slowly it is taken.
 
 use std::io::{ErrorKind, Write};
 use std::net::TcpStream;

@@ -1,8 +1,8 @@
 //! Requests of browsers: read within a time, and refused unless they come from this machine's user.
 //!
-//! Invariant: who shows an operating field to a page from elsewhere leaks it. A request must name this machine (`Host`), so no
-//! foreign name can be made to lead here, and must not be part of another page, which browsers tell (`Sec-Fetch-Site`,
-//! `Origin`). See W3C "Fetch Metadata Request Headers".
+//! Invariant: who shows an operating field to a page from elsewhere leaks it. A request must name this
+//! machine (`Host`), so no foreign name can be made to lead here, and must not be part of another page, which
+//! browsers tell (`Sec-Fetch-Site`, `Origin`). See W3C "Fetch Metadata Request Headers".
 
 use std::io::{ErrorKind, Read};
 use std::net::TcpStream;
@@ -80,7 +80,8 @@ fn checked(request: &httparse::Request<'_, '_>) -> Result<String, Refusal> {
     if one("origin").is_some_and(|origin| !origin.strip_prefix(b"http://").is_some_and(is_loopback)) {
         return Err(FOREIGN_PAGE);
     }
-    // Older browsers and other programs do not say; somebody who follows a link to here sees it in a page of its own.
+    // Older browsers and other programs do not say; somebody who follows a link to here sees it in a page of
+    // its own.
     let own = one("sec-fetch-site").is_none_or(|site| matches!(site, b"none" | b"same-origin"));
     let follows_link =
         one("sec-fetch-mode") == Some(b"navigate") && one("sec-fetch-dest") == Some(b"document");

@@ -1,7 +1,8 @@
 //! A small HTTP server on the loopback address: a list of what there is, and each stream as MJPEG.
 //!
-//! Invariant: it answers this machine only, takes a bounded number of connections, gives none of them more than a bounded
-//! time, and has ended all its threads when it is dropped. Displays with the same port share one server.
+//! Invariant: it answers this machine only, takes a bounded number of connections, gives none of them more
+//! than a bounded time, and has ended all its threads when it is dropped. Displays with the same port share
+//! one server.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -20,7 +21,8 @@ use crate::{reply, request};
 
 /// Viewers at a time.
 const VIEWERS: u32 = 16;
-/// Connections whose request is not there yet; beyond them the oldest is closed. Many, for honest ones may come in a burst.
+/// Connections whose request is not there yet; beyond them the oldest is closed. Many, for honest ones may
+/// come in a burst.
 const ASKING: usize = 64;
 /// How long a request may take to come.
 const REQUEST: Duration = Duration::from_secs(2);
@@ -90,8 +92,8 @@ impl Shared {
 }
 
 impl Server {
-    /// The server at a port of the loopback address; 0 makes one at a free port. Where somebody else has the port, it is tried
-    /// again for a while by the server's thread.
+    /// The server at a port of the loopback address; 0 makes one at a free port. Where somebody else has the
+    /// port, it is tried again for a while by the server's thread.
     ///
     /// # Errors
     /// The system refuses the port for another reason, or has no thread.
@@ -105,7 +107,9 @@ impl Server {
         let listener = match listen(port) {
             Ok(listener) => Some(listener),
             Err(why) if why.kind() == ErrorKind::AddrInUse && port != 0 => {
-                log::info!("mjpeg_port: somebody has {port} at the moment; it is tried again for {TRIES:?}");
+                log::info!(
+                    "mjpeg_port: another program has {port} at the moment; it is tried again for {TRIES:?}"
+                );
                 None
             }
             Err(why) => {
@@ -173,7 +177,7 @@ impl Place {
 /// Why browsers cannot come; said once, by the server's thread.
 fn refusal(port: u16) -> String {
     format!(
-        "mjpeg_port: {port} on 127.0.0.1 cannot be had: somebody else kept it for {TRIES:?}; no browser sees what is shown \
+        "mjpeg_port: {port} on 127.0.0.1 cannot be had: another program kept it for {TRIES:?}; no browser sees what is shown \
          there. Choose another one, or 0 for any free one, and start again"
     )
 }

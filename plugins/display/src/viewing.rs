@@ -1,6 +1,7 @@
 //! Where a display's frames are shown to people, and which of them are copied for that.
 //!
-//! Invariant: a frame is copied when it is due for those who look, or when the allowance for those who may come has room for it.
+//! Invariant: a frame is copied when it is due for those who look, or when the allowance for those who may
+//! come has room for it.
 
 use std::sync::Arc;
 
@@ -14,8 +15,8 @@ use crate::mjpeg::{Encoder, Stream};
 use crate::server::Place;
 use crate::window::Window;
 
-/// What is copied while nobody looks, B/s, so that who comes late sees the newest frame: images that come now and then are
-/// copied all, a video a few times a second.
+/// What is copied while nobody looks, B/s, so that who comes late sees the newest frame: images that come now
+/// and then are copied all, a video a few times a second.
 const KEPT_BYTES_PER_S: f64 = 16e6;
 /// What may be copied at once of smaller frames, B.
 const KEPT_AT_ONCE: f64 = 1e6;

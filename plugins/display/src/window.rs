@@ -1,8 +1,8 @@
 //! A window with a display's frames, in a thread of its own.
 //!
-//! Invariant: the display library is looked for when a window is opened, and what goes wrong then is told; a window that people
-//! close stays closed until the next Start; a stale picture is marked. The library ends the process when the display server dies: run a display with a
-//! window in a process of its own.
+//! Invariant: the display library is looked for when a window is opened, and what goes wrong then is told; a
+//! window that people close stays closed until the next Start; a stale picture is marked. The library ends
+//! the process when the display server dies: run a display with a window in a process of its own.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,6 +1,7 @@
 //! The two components of the classic client/server example: every basic kind of command, and events back.
 //!
-//! Invariant: interface, command and event names are those of the published example, so its transcripts replay.
+//! Invariant: interface, command and event names are those of the published example, so its transcripts
+//! replay.
 #![forbid(unsafe_code)]
 
 mod client;

@@ -1,4 +1,5 @@
-//! Prints what one control period of the arm costs, in each kind of motion: `cargo run --release --example step_cost`.
+//! Prints what one control period of the arm costs, in each kind of motion: `cargo run --release --example
+//! step_cost`.
 //!
 //! Invariant: wall time of this process alone; says nothing of a host.
 

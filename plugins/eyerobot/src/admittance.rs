@@ -1,13 +1,14 @@
 //! Hands-on control: turns the force of a hand into a velocity of the tip.
 //!
-//! Invariant: nothing below the dead band moves anything, and three times the dead band counts in full; the law between
-//! is continuous, so no force makes the velocity jump. What is too strong or no number lets go and leaves nothing behind. Wrenches and twists are in the frame of the tip. Source: R. H.
-//! Taylor et al., *A steady-hand robotic system for microsurgical augmentation*, IJRR 18 (1999): velocity in proportion to
-//! the force on the handle.
+//! Invariant: nothing below the dead band moves anything, and three times the dead band counts in full; the
+//! law between is continuous, so no force makes the velocity jump. A force that is too strong or no number
+//! lets go and leaves nothing behind. Wrenches and twists are in the frame of the tip. Source: R. H. Taylor
+//! et al., *A steady-hand robotic system for microsurgical augmentation*, IJRR 18 (1999): velocity in
+//! proportion to the force on the handle.
 
 use nalgebra::{Vector3, Vector6};
 
-/// What is set for hands-on control.
+/// Settings of hands-on control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
     /// Velocity per force along x, y, z, m/(s·N), and per torque about them, rad/(s·N·m).
@@ -22,8 +23,8 @@ pub struct Law {
     pub limit_n: f64,
 }
 
-/// Largest gain that is taken: m/(s·N) and rad/(s·N·m). With a hand of 2 N/mm the loop through the hand then has a gain of
-/// 10 /s, which filter and arm leave a phase margin of 50°.
+/// Largest gain that is taken: m/(s·N) and rad/(s·N·m). With a hand of 2 N/mm the loop through the hand then
+/// has a gain of 10 /s, which filter and arm leave a phase margin of 50°.
 pub const HIGHEST_GAIN: [f64; 2] = [0.005, 10.0];
 
 /// A stronger torque lets go, N·m: twice what `compliance/servo_cf` may ask for.
@@ -48,7 +49,7 @@ impl Default for Law {
 /// The law with its filter.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Admittance {
-    /// What is set.
+    /// Its settings.
     pub law: Law,
     first: Vector6<f64>,
     second: Vector6<f64>,
@@ -75,7 +76,8 @@ impl Admittance {
             self.let_go();
             return Vector6::zeros();
         }
-        // Two equal low-passes in a row: critically damped, so a hand that lets go is not followed by a swing back.
+        // Two equal low-passes in a row: critically damped, so a hand that lets go is not followed by a swing
+        // back.
         let share = 1.0 - (-std::f64::consts::TAU * self.law.corner_hz * dt_s).exp();
         self.first += (wrench - self.first) * share;
         self.second += (self.first - self.second) * share;

@@ -1,7 +1,7 @@
-//! From what is wanted to joint velocities that limits and fixtures allow.
+//! From wanted motion to joint velocities that limits and fixtures allow.
 //!
-//! Invariant: what comes out keeps every fixture and joint limit, or is zero; acceleration gives way to both. A wish that
-//! is allowed comes out as it was.
+//! Invariant: the result keeps every fixture and joint limit, or is zero; acceleration gives way to both. A
+//! wish that is allowed comes out unchanged.
 
 use nalgebra::{Matrix3, Vector6};
 
@@ -11,30 +11,32 @@ use crate::fixture::{Fixtures, Stance};
 use crate::joints::{COUNT, Joints, per_kind};
 use crate::least_squares::{HalfSpaces, Square, near, nearest, track};
 
-/// Towards its limit a joint moves at most at this times the way that is left, 1/s: from full speed it brakes with 0.2 m/s².
+/// Towards its limit a joint moves at most at this times the way that is left, 1/s: from full speed it brakes
+/// with 0.2 m/s².
 const BRAKE_PER_S: f64 = 20.0;
 
-/// Weight of turning against the tip's translation, in tool lengths: the tip keeps its direction rather than bend
-/// around a limit, and yields it where a remote centre turns the tool anyway.
+/// Weight of turning against the tip's translation, in tool lengths: the tip keeps its direction rather than
+/// bend around a limit, and yields it where a remote centre turns the tool anyway.
 const TURN_WEIGHT: f64 = 10.0;
 const FREE_TURN_WEIGHT: f64 = 1e-3;
 
 /// Weight of the turn about the tool's own axis, which five joints cannot choose, against other turns.
 const SPIN_WEIGHT: f64 = 0.01;
 
-/// Damping of the joints against the tip's velocity: bounds them where the arm is singular, costs 1e-6 elsewhere.
+/// Damping of the joints against the tip's velocity: bounds them where the arm is singular, costs 1e-6
+/// elsewhere.
 const DAMPING: f64 = 1e-3;
 
-/// Where an arm stands that is to be moved.
+/// State of an arm that is to be moved.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene<'a> {
     /// Geometry and limits.
     pub settings: &'a Settings,
     /// Fixtures in force.
     pub fixtures: &'a Fixtures,
-    /// Where it was sent, and how fast.
+    /// Setpoint: its place and velocity.
     pub from: Measured,
-    /// Where it is, m and rad.
+    /// Place by the encoders, m and rad.
     pub measured: Joints,
     /// Period, s.
     pub dt_s: f64,
@@ -69,8 +71,9 @@ impl Scene<'_> {
         self.solve(&near(wanted, &self.scale()), &at)
     }
 
-    /// What fixtures, and beside them the acceleration, leave of a motion whose joint velocities are planned; none when
-    /// they leave it as it is. Without a fixture only speeds are bounded: the plan is then the client's.
+    /// Returns what fixtures, and beside them the acceleration, leave of a motion whose joint velocities are
+    /// planned; none if they leave it as it is. Without a fixture only speeds are bounded: the plan is then
+    /// the client's.
     pub fn planned(&self, wanted: &Joints, at_rest: bool) -> Option<Joints> {
         let speed = &self.settings.limits.speed;
         let clamped = Joints::from_fn(|i, _| wanted[i].clamp(-speed[i], speed[i]));
@@ -113,7 +116,8 @@ impl Scene<'_> {
         Allowed { velocity: Joints::zeros(), at_limit: [false; COUNT] }
     }
 
-    /// The part of the bounds that the acceleration reaches in this period; a bound out of its reach holds all the same.
+    /// Returns the part of the bounds that the acceleration reaches in this period; a bound out of its reach
+    /// holds all the same.
     fn reachable(&self, lower: &Joints, upper: &Joints) -> (Joints, Joints) {
         let most = self.settings.limits.acceleration * self.dt_s;
         let within = |v: f64, i: usize| v.max(lower[i]).min(upper[i]);

@@ -1,8 +1,8 @@
 //! The arm: takes CRTK motions, makes a setpoint of them each period, and drives the joints after it.
 //!
-//! Invariant: one `step` per control period is the only place that commands motion, and every velocity of it passes
-//! `allowed`; every refusal leaves the running motion as it was, every fault ends it with the joints held where they are.
-//! No allocation, no clock.
+//! Invariant: one `step` per control period is the only place that commands motion, and every velocity of it
+//! passes `allowed`; every refusal leaves the running motion as it was, every fault ends it with the joints
+//! held where they are. No allocation, no clock.
 
 mod commands;
 mod motion;
@@ -36,12 +36,12 @@ const ARRIVED: Joints = per_kind(10e-6, 100e-6);
 /// A joint slower than this stands, m/s and rad/s.
 const STANDS: Joints = per_kind(10e-6, 100e-6);
 
-/// What is set once for an arm. SI units.
+/// Settings of an arm, set once. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Geometry.
     pub kinematics: Kinematics,
-    /// What each joint may do.
+    /// Limits of each joint.
     pub limits: Limits,
     /// Gain of the position loop around the drive's velocity loop, 1/s.
     pub gain_per_s: f64,
@@ -49,18 +49,18 @@ pub struct Settings {
     pub servo_timeout_s: f64,
     /// Largest allowed distance between setpoint and encoder, m and rad.
     pub following: Joints,
-    /// How far an encoder may stand outside a limit before it is a fault, m and rad.
+    /// Most that an encoder may stand outside a limit before it is a fault, m and rad.
     pub margin: Joints,
     /// Hands-on control.
     pub law: Law,
-    /// Where `home` brings the joints, m and rad.
+    /// Place to which `home` brings the joints, m and rad.
     pub home: Joints,
 }
 
 impl Default for Settings {
-    /// Tool of 120 mm; velocities are braked after 8 ms without a new one, so that from 5 mm/s the arm stands 20 ms after a
-    /// client was lost; 31.25 /s is the critically damped gain around a lag of 8 ms; faults at 0.5 mm and 1° of
-    /// following error, 0.1 mm and 0.1° outside a limit.
+    /// Tool of 120 mm; velocities are braked after 8 ms without a new one, so that from 5 mm/s the arm stands
+    /// 20 ms after a client was lost; 31.25 /s is the critically damped gain around a lag of 8 ms; faults at
+    /// 0.5 mm and 1° of following error, 0.1 mm and 0.1° outside a limit.
     fn default() -> Self {
         Settings {
             kinematics: Kinematics { tool_length_m: 0.12 },
@@ -77,8 +77,8 @@ impl Default for Settings {
 
 /// Five joints under control.
 ///
-/// Poses and twists are in the frame of `set_base_frame`, in which the kinematic base stands as it says; `local` ones in
-/// the kinematic base itself.
+/// Poses and twists are in the frame of `set_base_frame`, in which the kinematic base stands as that says;
+/// `local` ones are in the kinematic base itself.
 #[derive(Debug)]
 pub struct Arm<D> {
     settings: Settings,
@@ -90,22 +90,22 @@ pub struct Arm<D> {
     setpoint: Measured,
     fixtures: Fixtures,
     admittance: Admittance,
-    /// Of the hand, in the frame of the tip, N and N·m.
+    /// Wrench of the hand, in the frame of the tip, N and N·m.
     handle: Vector6<f64>,
     base: Isometry3<f64>,
     at_limit: [bool; COUNT],
     /// The drive brakes by itself; the setpoint goes with it.
     braking: bool,
-    /// What follows when whoever moves the arm falls silent.
+    /// Way back that follows when the arm's client falls silent.
     retreat: Option<Retreat>,
-    /// Since a motion was over that nobody repeated, s; none once anything else was commanded.
+    /// Time since a motion ended that was not repeated, s; none once anything else was commanded.
     silent_s: Option<f64>,
-    /// Motions by velocity or force that ended because nobody repeated them in time.
+    /// Motions by velocity or force that ended because they were not repeated in time.
     timeouts: u64,
     news: News,
 }
 
-/// What happened since it was asked for last.
+/// Happenings since the last call of `take_news`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct News {
     /// Moves that arrived.
@@ -116,7 +116,7 @@ pub struct News {
     pub limit_hit: [bool; COUNT],
     /// The force on the handle is above its limit, or below it again.
     pub force_limit: Option<bool>,
-    /// The tip goes back since nobody moves it any more.
+    /// The tip goes back since its client fell silent.
     pub retreats: Option<Retreat>,
 }
 
@@ -230,8 +230,8 @@ impl<D: Drive> Arm<D> {
         }
     }
 
-    /// The twist with which the tip follows the hand, kinematic base. The filter runs in every state, so that what was
-    /// felt before the hand is followed does not come as a step.
+    /// Returns the twist with which the tip follows the hand, kinematic base. The filter runs in every state,
+    /// so that a force felt before the hand is followed does not come as a step.
     fn follow_hand(&mut self, dt_s: f64) -> Vector6<f64> {
         let turn = self.local_cp().rotation;
         let beside = match &self.motion {
@@ -354,7 +354,7 @@ impl<D: Drive> Arm<D> {
         self.pre_empt(Motion::Hold);
     }
 
-    /// The setpoint on its way back to where the encoders are, at the joints' speeds: it never jumps.
+    /// Returns the setpoint on its way back to the encoders' position, at the joints' speeds: it never jumps.
     fn towards_measured(&self, dt_s: f64) -> Measured {
         let (from, to) = (&self.setpoint.position, &self.measured.position);
         let most = self.settings.limits.speed * dt_s;
@@ -393,7 +393,7 @@ impl<D: Drive> Arm<D> {
         self.operating.made_safe();
     }
 
-    /// What happened since the last asking.
+    /// Returns what happened since the last call.
     pub fn take_news(&mut self) -> News {
         std::mem::take(&mut self.news)
     }

@@ -298,8 +298,8 @@ fn make_safe_brakes_in_full_motion_and_only_resume_lets_it_move_again() {
     assert!(arm.servo_jp(&[0.0; COUNT]).is_err());
 }
 
-/// A drive that ignores what it is told: after its first cycle x goes on and on, 0.3 mm ahead of a setpoint that begins
-/// with it.
+/// A drive that ignores what it is told: after its first cycle x goes on and on, 0.3 mm ahead of a setpoint
+/// that begins with it.
 struct Runaway {
     x: f64,
 }

@@ -1,7 +1,7 @@
 //! The component `cooperative`: lets a hand lead a robot, behind a plane that keeps the tip off the retina.
 //!
-//! Invariant: the robot follows only while this steps, and only while the robot says that a guard is in force; nothing waits, and what
-//! reaches no robot is counted.
+//! Invariant: the robot follows only while this steps, and only while the robot says that a guard is in
+//! force. Nothing waits, and commands that reach no robot are counted.
 
 mod guard;
 
@@ -18,18 +18,19 @@ const FURTHEST_M: f64 = 1000.0;
 
 #[derive(Config)]
 struct CooperativeConfig {
-    /// The tip is not led nearer to the surface that the input distance tells. An eye swings: a tip that stands here comes nearer by all
-    /// of its swing, 320 um in the simulated world
+    /// The tip is not led nearer than this to the surface that the input distance tells. An eye swings: a tip
+    /// that stands here comes nearer by all of its swing, 320 um in the simulated world
     #[config(live, min = 0.00015, max = 0.01, unit = "m", default = 0.0005)]
     min_distance_m: f64,
-    /// While no surface was seen, or nothing is connected to the input distance, the tip is not led deeper than this z of the robot's
-    /// base frame; the default is the tip's place at home
+    /// While no surface was seen, or nothing is connected to the input distance, the tip is not led deeper
+    /// than this z of the robot's base frame; the default is the tip's place at home
     #[config(live, min = -1.0, max = 1.0, unit = "m", default = 0.12)]
     lowest_z_m: f64,
 }
 
-/// Cooperative control: asks the robot in each cycle to follow the hand on its handle. The robot stands when it is not asked, and it is
-/// asked only behind a guard: a plane that follows the retina, or a fixed one while no retina was seen.
+/// Cooperative control: asks the robot in each cycle to follow the hand on its handle. The robot stands when
+/// it is not asked, and it is asked only behind a guard: a plane that follows the retina, or a fixed one
+/// while no retina was seen.
 #[derive(Component)]
 #[component(rate_hz = 500, models("periodic", "exec_in", "exec_out"), rates_hz(100, 8000))]
 pub struct Cooperative {
@@ -42,10 +43,10 @@ pub struct Cooperative {
     /// Called when this component stops.
     #[required(interface = "robot", name = "hold")]
     hold: Function,
-    /// Where the tip is.
+    /// Pose of the tip.
     #[required(interface = "robot")]
     measured_cp: Function<(), Pose>,
-    /// What the hand does to the handle.
+    /// Wrench of the hand on the handle.
     #[required(interface = "hand", optional)]
     measured_cf: Function<(), Wrench>,
     /// Keeps the tip behind a plane: the robot's own fixture.
@@ -70,7 +71,7 @@ pub struct Cooperative {
     #[state]
     #[unit("m")]
     room: f64,
-    /// Of the hand on the handle, at the last reading.
+    /// Force of the hand on the handle, at the last reading.
     #[state]
     #[unit("N")]
     force: f64,
@@ -111,7 +112,7 @@ impl Component for Cooperative {
 
     fn stop(&mut self) -> Result {
         self.hold.send(());
-        // What nobody moves any more would stand in the way of the next motion.
+        // A guard that is not moved any more would stand in the way of the next motion.
         self.set_guard.send(VirtualFixture::default());
         Ok(())
     }

@@ -43,7 +43,7 @@ struct Rig {
     dark: bool,
     line: u64,
     before: CartesianState,
-    /// What the robot did not take.
+    /// Commands that the robot did not take.
     refused: Vec<String>,
     /// From the true tip to the first surface, least of all, m.
     nearest_m: f64,
@@ -222,7 +222,8 @@ fn keeps_off(config: &str, robot: &str, led: std::ops::Range<f64>) {
         rig.dark = false;
         rig.steps(300);
         assert!(rig.refused.is_empty(), "seed {seed}: {:?}", rig.refused);
-        // The hand lets go while the retina is high or low, and nobody leads the robot any more: it stands, and the eye swings on.
+        // The hand lets go while the retina is high or low, and the robot is not led any more: it stands, and
+        // the eye swings on.
         rig.push_n = [0.0; 3];
         rig.steps(37 * seed as usize);
         rig.stop();
@@ -329,7 +330,7 @@ fn a_robot_that_does_not_tell_where_it_is_is_not_led() {
     let mut bench = Bench::<Cooperative>::new("{}");
     bench.answer("fixture/guard", |()| Ok(VirtualFixture { kind: FixtureKind::PLANE, ..Default::default() }));
     bench.step(3);
-    // Long ago, and of a clock that is a second ahead: nobody knows from when that is.
+    // Poses of long ago, and of a clock that is a second ahead: their time is unknown.
     let ahead = Stamp::from_ns(bench.now().ns() + 1_000_000_000);
     for stamp in [Stamp::from_ns(1), ahead] {
         bench.answer("robot/measured_cp", move |()| Ok(Pose { stamp, ..Pose::default() }));

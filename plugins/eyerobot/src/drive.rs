@@ -1,8 +1,8 @@
-//! Drives: what turns commanded joint velocities into motion. The trait is the slot for hardware; `simulated` fills it
-//! without any.
+//! Drives turn commanded joint velocities into motion. The trait is the slot for hardware; `simulated` fills
+//! it without any.
 //!
-//! Invariant: `cycle` is called once per control period from one thread and never blocks; after `make_safe` the joints brake
-//! and stand whatever was commanded before.
+//! Invariant: `cycle` is called once per control period from one thread and never blocks; after `make_safe`
+//! the joints brake and stand whatever was commanded before.
 
 mod simulated;
 
@@ -12,7 +12,7 @@ use crate::joints::Joints;
 
 pub use simulated::{SimulatedDrive, Simulation};
 
-/// What a drive measured at the end of a cycle.
+/// Measurement of a drive at the end of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     /// Encoder positions, m or rad.
@@ -29,8 +29,9 @@ pub trait Drive {
     /// The device lost a joint; the arm stops and shows a CRTK fault.
     fn cycle(&mut self, velocity: &Joints, dt_s: f64) -> Result<Measured, Lost>;
 
-    /// Brakes all joints from now on, as hard as they can, and holds them: without waiting for the next cycle, and without
-    /// needing one. Cycles measure the braking; a velocity counts again when all joints stand.
+    /// Brakes all joints from now on, as hard as they can, and holds them: without waiting for the next
+    /// cycle, and without needing one. Cycles measure the braking; a velocity counts again when all joints
+    /// stand.
     fn make_safe(&mut self);
 }
 
@@ -39,7 +40,7 @@ pub trait Drive {
 pub struct Lost {
     /// Index of the joint in `joints::NAMES`.
     pub joint: usize,
-    /// What the device said.
+    /// Message of the device.
     pub why: &'static str,
 }
 

@@ -1,9 +1,10 @@
 //! Virtual fixtures: where the tip may go and how the tool may turn, as half-spaces of joint velocities.
 //!
-//! Invariant: a fixture only bounds velocities. While the arm stands inside, zero velocity is allowed, and a bound on the
-//! way out falls with the distance that is left, so that the arm brakes before the border and never needs to jump back.
-//! Frames are in the arm's kinematic base, SI units. Source: A. Kapoor, M. Li, R. H. Taylor, ICRA 2006 (plane, line,
-//! remote centre of motion as linear constraints of one least-squares problem).
+//! Invariant: a fixture only bounds velocities. While the arm stands inside, zero velocity is allowed, and a
+//! bound on the way out falls with the distance that is left, so that the arm brakes before the border and
+//! never needs to jump back. Frames are in the arm's kinematic base, SI units. Source: A. Kapoor, M. Li, R.
+//! H. Taylor, ICRA 2006 (plane, line, remote centre of motion as linear constraints of one least-squares
+//! problem).
 
 use std::fmt;
 
@@ -25,14 +26,14 @@ pub const STIFFEST_PER_S: f64 = 30.0;
 /// Half of the width of lines and remote centres, m: less than a step of the encoders.
 const SLACK_M: f64 = 0.2e-6;
 
-/// What is outside comes back at most this fast, m/s: faster than a retina moves with pulse and breath, should a plane
-/// follow it.
+/// Highest speed at which an arm outside comes back, m/s: faster than a retina moves with pulse and breath,
+/// should a plane follow it.
 const RETURN_M_S: f64 = 1e-3;
 
 /// A fixture that the arm is further outside of than this is refused, m.
 pub const FAR_M: f64 = 0.1e-3;
 
-/// What a fixture holds.
+/// Constraint of a fixture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The tip stays on the side of the frame's xy plane to which z points.
@@ -46,15 +47,15 @@ pub enum Kind {
 /// One fixture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fixture {
-    /// What it holds.
+    /// Its constraint.
     pub kind: Kind,
-    /// Where, in the kinematic base of the arm, m.
+    /// Its place, in the kinematic base of the arm, m.
     pub frame: Isometry3<f64>,
     /// The tip nears the border at most at this times the distance that is left, 1/s.
     pub stiffness_per_s: f64,
 }
 
-/// Where an arm stands, as fixtures see it.
+/// State of an arm, as fixtures see it.
 #[derive(Clone, Copy, Debug)]
 pub struct Stance {
     /// Pose of the tip.
@@ -66,7 +67,7 @@ pub struct Stance {
 }
 
 impl Stance {
-    /// Of the arm with joints `q` (m, rad).
+    /// Returns the stance of the arm with joints `q` (m, rad).
     pub fn of(kinematics: &Kinematics, q: &Joints) -> Stance {
         Stance { tip: kinematics.forward(q), jacobian: kinematics.jacobian(q), axis: tool_axis(q) }
     }
@@ -75,7 +76,8 @@ impl Stance {
         self.tip.translation.vector
     }
 
-    /// How much of a velocity along `direction` each joint gives to the tool's point `from_tip` (m) away from the tip.
+    /// Returns how much of a velocity along `direction` each joint gives to the tool's point `from_tip` (m)
+    /// away from the tip.
     fn along(&self, direction: &Vector3<f64>, from_tip: &Vector3<f64>) -> Joints {
         let lever = from_tip.cross(direction);
         let rows = self.jacobian.fixed_rows::<3>(0).tr_mul(direction)
@@ -85,8 +87,8 @@ impl Stance {
 }
 
 impl Fixture {
-    /// Distance to the border, m: of a plane positive on the allowed side; of a line and a remote centre how far the tip
-    /// or the shaft is beside it, with a minus sign.
+    /// Returns the distance to the border, m: for a plane positive on the allowed side; for a line and a
+    /// remote centre the distance of the tip or the shaft beside it, with a minus sign.
     pub fn distance_m(&self, at: &Stance) -> f64 {
         match self.kind {
             Kind::Plane => self.normal().dot(&(at.tip_m() - self.origin())),
@@ -98,8 +100,8 @@ impl Fixture {
         }
     }
 
-    /// Adds what this fixture allows to `set`. `at` is where the arm is sent, `measured` where it is: to a plane the
-    /// nearer of both counts. `at_rest` arms are not made to come back from outside.
+    /// Adds what this fixture allows to `set`. `at` is where the arm is sent, `measured` where it is: to a
+    /// plane the nearer of both counts. `at_rest` arms are not made to come back from outside.
     pub fn restrict(&self, at: &Stance, measured: &Stance, at_rest: bool, set: &mut HalfSpaces) {
         let bound = |distance_m: f64| {
             let speed = (self.stiffness_per_s * distance_m).max(-RETURN_M_S);
@@ -130,7 +132,7 @@ impl Fixture {
         }
     }
 
-    /// It can be in force for an arm that stands so.
+    /// Tells whether it can be in force for an arm with this stance.
     fn fits(&self, place: usize, at: &Stance) -> Result<(), FixtureRefused> {
         let stiffness = self.stiffness_per_s;
         if !(stiffness > 0.0 && stiffness <= STIFFEST_PER_S) {
@@ -170,8 +172,8 @@ impl Fixtures {
     /// These fixtures, whose frames are those of `list` seen through `to_local`.
     ///
     /// # Errors
-    /// More than there is room for, a stiffness out of its range, or one that the arm stands outside of: with the
-    /// fixture's place in the list.
+    /// More than there is room for, a stiffness out of its range, or one that the arm stands outside of: with
+    /// the fixture's place in the list.
     pub fn checked<'a>(
         list: impl Iterator<Item = &'a Fixture>,
         to_local: &Isometry3<f64>,
@@ -263,21 +265,21 @@ pub enum FixtureRefused {
     Kind {
         /// Place in the list, from 0.
         place: usize,
-        /// What came.
+        /// Value that came.
         kind: u32,
     },
     /// Not above 0 and at most [`STIFFEST_PER_S`].
     Stiffness {
         /// Place in the list, from 0.
         place: usize,
-        /// What came, 1/s.
+        /// Value that came, 1/s.
         stiffness: f64,
     },
     /// The arm stands further than [`FAR_M`] outside of it.
     Outside {
         /// Place in the list, from 0.
         place: usize,
-        /// What it would hold.
+        /// Constraint that it would hold.
         kind: Kind,
         /// See [`Fixture::distance_m`].
         distance_m: f64,

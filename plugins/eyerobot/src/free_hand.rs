@@ -17,7 +17,7 @@ struct FreeHandConfig {
     /// Seed of the simulated hand
     #[config(default = 1)]
     seed: u64,
-    /// How far above the origin of the simulated world the hand means to keep the tip
+    /// Height above the origin of the simulated world at which the hand means to keep the tip
     #[config(min = 0.0, max = 0.1, unit = "m", default = 0.001)]
     height_m: f64,
     /// Length of the line along x that the hand means to go to and fro, its middle above the origin
@@ -26,10 +26,10 @@ struct FreeHandConfig {
     /// Time to go to and fro once
     #[config(min = 0.1, max = 1000.0, unit = "s", default = 12.0)]
     period_s: f64,
-    /// How the hand holds the tool: roll and tilt as the joints of eyerobot at home
+    /// Roll of the tool in the hand; roll and tilt as the joints of eyerobot at home
     #[config(live, min = -3.14, max = 3.14, unit = "rad", default = 0.0)]
     roll_rad: f64,
-    /// How far the tool leans from the axis of the eye
+    /// Angle between the tool and the axis of the eye
     #[config(live, min = -1.0, max = 1.0, unit = "rad", default = 0.0)]
     tilt_rad: f64,
     /// Share of a hand's tremor (182 µm RMS) that this one has
@@ -37,7 +37,8 @@ struct FreeHandConfig {
     tremor: f64,
 }
 
-/// A simulated hand that holds the tool itself: the baseline without a robot. It goes to and fro along a line, and trembles.
+/// A simulated hand that holds the tool itself: the baseline without a robot. It goes to and fro along a
+/// line, and trembles.
 #[derive(Component)]
 #[component(
     rate_hz = 1000,
@@ -57,10 +58,10 @@ pub struct FreeHand {
     hand: Option<Hand>,
 }
 
-/// What is really so; for recorders, plots and tests.
+/// True values; for recorders, plots and tests.
 #[provides("truth", tag = "truth")]
 impl FreeHand {
-    /// Where the tip is in the simulated world.
+    /// Pose of the tip in the simulated world.
     #[read]
     fn measured_cp(s: &FreeHandState) -> Pose {
         s.truth.pose
@@ -68,13 +69,13 @@ impl FreeHand {
 }
 
 impl FreeHandConfig {
-    /// How the tool stands, as a quaternion x, y, z, w.
+    /// Returns the orientation of the tool, as a quaternion x, y, z, w.
     fn orientation(&self) -> [f64; 4] {
         let (roll, tilt) = (Vector3::z() * self.roll_rad, Vector3::x() * self.tilt_rad);
         (UnitQuaternion::new(roll) * UnitQuaternion::new(tilt)).coords.into()
     }
 
-    /// Where the tip is, m.
+    /// Returns the position of the tip, m.
     fn position_m(&self, hand: &Hand, t_s: f64) -> Vector3<f64> {
         let meant = Vector3::new(0.5 * self.line_m * (TAU * t_s / self.period_s).sin(), 0.0, -self.height_m);
         meant + self.tremor * hand.tremor_m(t_s)

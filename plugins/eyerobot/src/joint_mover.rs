@@ -1,6 +1,7 @@
 //! The component `joint_mover`: moves one slide of a robot to and fro.
 //!
-//! Invariant: nothing waits; the goal is continuous over live changes of the frequency, and starts where home is.
+//! Invariant: nothing waits; the goal is continuous over live changes of the frequency, and starts where home
+//! is.
 
 use std::f64::consts::TAU;
 
@@ -45,13 +46,13 @@ pub struct JointMover {
     #[state]
     #[unit("m")]
     goal: f64,
-    /// Where the slide was at the last reading.
+    /// Position of the slide at the last reading.
     #[state]
     #[unit("m")]
     measured: f64,
     #[config]
     cfg: JointMoverConfig,
-    /// Of the sine, 0 to 1.
+    /// Phase of the sine, 0 to 1.
     phase: f64,
 }
 

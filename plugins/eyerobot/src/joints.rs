@@ -1,7 +1,7 @@
 //! The five joints: their order, units, limits, and the refusal of values outside them.
 //!
-//! Invariant: a [`Joints`] that passed [`Limits::check_position`] or [`Limits::check_velocity`] is finite and inside
-//! the limits; nothing else may become a goal of the arm.
+//! Invariant: a [`Joints`] that passed [`Limits::check_position`] or [`Limits::check_velocity`] is finite and
+//! inside the limits; nothing else may become a goal of the arm.
 
 use std::fmt;
 
@@ -10,7 +10,8 @@ use nalgebra::SVector;
 /// Number of joints.
 pub const COUNT: usize = 5;
 
-/// One value per joint in the order x, y, z, roll, tilt. Units: m, m, m, rad, rad (per second for velocities).
+/// One value per joint in the order x, y, z, roll, tilt. Units: m, m, m, rad, rad (per second for
+/// velocities).
 pub type Joints = SVector<f64, COUNT>;
 
 /// Names in joint order.
@@ -44,7 +45,7 @@ pub const fn per_kind(prismatic: f64, revolute: f64) -> Joints {
     Joints::new(prismatic, prismatic, prismatic, revolute, revolute)
 }
 
-/// What each joint may do.
+/// Limits of each joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Lowest position, m or rad.
@@ -100,8 +101,9 @@ impl Limits {
         }
     }
 
-    /// First joint whose position is more than `margin` outside its limits while `velocity` carries it further out.
-    /// A joint that is outside but stands or comes back is not reported, so an operator can drive it back.
+    /// Returns the first joint whose position is more than `margin` outside its limits while `velocity`
+    /// carries it further out. A joint that is outside but stands or comes back is not reported, so an
+    /// operator can drive it back.
     pub fn leaving(&self, position: &Joints, velocity: &Joints, margin: &Joints) -> Option<usize> {
         (0..COUNT).find(|&i| {
             (position[i] > self.upper[i] + margin[i] && velocity[i] > 0.0)
@@ -129,21 +131,21 @@ pub fn five(values: &[f64]) -> Result<Joints, Refusal> {
 pub enum Refusal {
     /// Not one value per joint.
     Length {
-        /// How many came.
+        /// Number of values that came.
         got: usize,
     },
     /// NaN or infinite.
     NotFinite {
         /// Which joint.
         joint: usize,
-        /// What came.
+        /// Value that came.
         value: f64,
     },
     /// Position outside the limits.
     Position {
         /// Which joint.
         joint: usize,
-        /// What came, m or rad.
+        /// Value that came, m or rad.
         value: f64,
         /// Lowest allowed, m or rad.
         lower: f64,
@@ -154,7 +156,7 @@ pub enum Refusal {
     Speed {
         /// Which joint.
         joint: usize,
-        /// What came, m/s or rad/s.
+        /// Value that came, m/s or rad/s.
         value: f64,
         /// Highest allowed magnitude, m/s or rad/s.
         limit: f64,

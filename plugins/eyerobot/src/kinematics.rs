@@ -1,9 +1,10 @@
 //! Kinematics of the five-joint arm: forward, Jacobian, and closed-form inverse.
 //!
-//! Invariant: `forward` and `inverse` share one convention, `T = Trans(x,y,z) · Rz(roll) · Rx(tilt) · Trans(0,0,L)`;
-//! SI units (m, rad) everywhere. Homogeneous transforms and the geometric Jacobian follow Siciliano, Sciavicco, Villani,
-//! Oriolo, *Robotics: Modelling, Planning and Control* (2009), chapters 2 and 3; the joint order is that of the
-//! steady-hand eye robot, Üneri et al., BioRob 2010 (three slides, roll, tilt).
+//! Invariant: `forward` and `inverse` share one convention, `T = Trans(x,y,z) · Rz(roll) · Rx(tilt) ·
+//! Trans(0,0,L)`; SI units (m, rad) everywhere. Homogeneous transforms and the geometric Jacobian follow
+//! Siciliano, Sciavicco, Villani, Oriolo, *Robotics: Modelling, Planning and Control* (2009), chapters 2 and
+//! 3; the joint order is that of the steady-hand eye robot, Üneri et al., BioRob 2010 (three slides, roll,
+//! tilt).
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -12,7 +13,8 @@ use nalgebra::{Isometry3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector
 
 use crate::joints::{Joints, Limits, Refusal};
 
-/// Below this sine of the tilt (1) the tool stands along z and the roll does not move it: roll is kept as it is.
+/// Below this sine of the tilt (1) the tool stands along z and the roll does not move it: roll is kept as it
+/// is.
 const STRAIGHT: f64 = 1e-10;
 
 /// Shortest vector (m or 1) still taken as a direction.
@@ -53,13 +55,13 @@ impl Kinematics {
         self.jacobian(q) * velocity
     }
 
-    /// Joints that bring the tip to `position` (m, base frame) with the tool along `axis` (any length): of all
-    /// solutions inside `limits` the one whose roll and tilt are nearest to `near`. The turn about the tool's own
-    /// axis cannot be chosen: the arm has five joints.
+    /// Returns the joints that bring the tip to `position` (m, base frame) with the tool along `axis` (any
+    /// length): of all solutions inside `limits` the one whose roll and tilt are nearest to `near`. The turn
+    /// about the tool's own axis cannot be chosen: the arm has five joints.
     ///
     /// # Errors
-    /// A value that is not finite, an axis without direction, or no solution inside the limits (names the joint of
-    /// the solution nearest to `near`).
+    /// A value that is not finite, an axis without direction, or no solution inside the limits (names the
+    /// joint of the solution nearest to `near`).
     pub fn inverse(
         &self,
         position: &Vector3<f64>,
@@ -95,14 +97,15 @@ impl Kinematics {
     }
 }
 
-/// Direction of the tool at `q`, the third column of `Rz(roll)·Rx(tilt)`: (sin r · sin t, −cos r · sin t, cos t).
+/// Returns the direction of the tool at `q`, the third column of `Rz(roll)·Rx(tilt)`: (sin r · sin t, −cos r
+/// · sin t, cos t).
 pub fn tool_axis(q: &Joints) -> Vector3<f64> {
     let (roll, tilt) = (q[3].sin_cos(), q[4].sin_cos());
     Vector3::new(roll.0 * tilt.0, -roll.1 * tilt.0, tilt.1)
 }
 
-/// All (roll, tilt) in rad that point the tool along the unit vector `d`: tilt forwards, tilt backwards with the roll
-/// half a turn away, and for each roll the whole turns around `near`.
+/// Returns all (roll, tilt) in rad that point the tool along the unit vector `d`: tilt forwards, tilt
+/// backwards with the roll half a turn away, and for each roll the whole turns around `near`.
 fn angles(d: &Vector3<f64>, near: &Joints) -> impl Iterator<Item = (f64, f64)> {
     let sine = d.x.hypot(d.y);
     let tilt = sine.atan2(d.z);

@@ -1,10 +1,10 @@
 //! Constrained least squares: of all joint velocities inside half-spaces the one nearest to what is wanted.
 //!
 //! Invariant: fixed size, no allocation, bounded rounds; what is returned satisfies every half-space within
-//! [`TOLERANCE`], or nothing is returned. Method: D. Goldfarb, A. Idnani, *A numerically stable dual method for solving
-//! strictly convex quadratic programs*, Mathematical Programming 27 (1983), after the change of variables that makes the
-//! objective a plain distance; as control of a robot with virtual fixtures: A. Kapoor, M. Li, R. H. Taylor, *Constrained
-//! control for surgical assistant robots*, ICRA 2006.
+//! [`TOLERANCE`], or nothing is returned. Method: D. Goldfarb, A. Idnani, *A numerically stable dual method
+//! for solving strictly convex quadratic programs*, Mathematical Programming 27 (1983), after the change of
+//! variables that makes the objective a plain distance; as control of a robot with virtual fixtures: A.
+//! Kapoor, M. Li, R. H. Taylor, *Constrained control for surgical assistant robots*, ICRA 2006.
 
 use nalgebra::{SMatrix, Vector6};
 
@@ -13,7 +13,7 @@ use crate::joints::{COUNT, Joints};
 /// Most half-spaces of one problem: two per joint, and four for each of eight fixtures and a guard.
 pub const MOST: usize = 2 * COUNT + 36;
 
-/// How far a half-space may be left, in the scaled variables (m/s at the tip).
+/// Most that a half-space may be left, in the scaled variables (m/s at the tip).
 pub const TOLERANCE: f64 = 1e-12;
 
 /// Half-spaces are added one at a time and seldom dropped again; this many are never needed.
@@ -163,8 +163,8 @@ impl Scaled {
     }
 }
 
-/// Half-spaces on whose border the point lies, and the force with which each pushes it. Their normals are independent, so
-/// there are no more of them than joints.
+/// Half-spaces on whose border the point lies, and the force with which each pushes it. Their normals are
+/// independent, so there are no more of them than joints.
 #[derive(Clone, Copy, Debug, Default)]
 struct Active {
     index: [usize; COUNT],
@@ -173,8 +173,8 @@ struct Active {
 }
 
 impl Active {
-    /// Moves `y` onto the border of half-space `new`, along the borders it lies on; those that would pull instead of
-    /// push on the way there are dropped.
+    /// Moves `y` onto the border of half-space `new`, along the borders it lies on; those that would pull
+    /// instead of push on the way there are dropped.
     fn add(&mut self, new: usize, set: &Scaled, y: &mut Joints) -> Result<(), Unsolved> {
         let mut force = 0.0;
         // Each turn drops one or ends.
@@ -260,7 +260,8 @@ pub fn near(wanted: &Joints, scale: &Joints) -> (Square, Joints) {
     (Square::from_diagonal(&squares), squares.component_mul(wanted))
 }
 
-/// The objective `‖jacobian · q̇ − wanted‖²`, damped by `damping · scale` per joint so that it always has one minimum.
+/// Returns the objective `‖jacobian · q̇ − wanted‖²`, damped by `damping · scale` per joint so that it always
+/// has one minimum.
 pub fn track(
     jacobian: &SMatrix<f64, 6, COUNT>,
     wanted: &Vector6<f64>,

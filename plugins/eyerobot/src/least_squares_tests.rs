@@ -5,7 +5,8 @@
 use super::*;
 use proptest::prelude::*;
 
-/// The best feasible point of all that lie on the borders of some half-spaces; none when there is no feasible one.
+/// Returns the best feasible point of all that lie on the borders of some half-spaces; none if there is no
+/// feasible one.
 fn brute_force(h: &Square, g: &Joints, set: &HalfSpaces) -> Option<(f64, Joints)> {
     let rows: Vec<(Joints, f64)> = set.iter().map(|(normal, bound)| (*normal, bound)).collect();
     let inverse = h.try_inverse().expect("positive definite");

@@ -1,7 +1,8 @@
-//! A simulated five-joint eye robot behind a CRTK interface, clients that move it or let a hand lead it, and a hand without it.
+//! A simulated five-joint eye robot behind a CRTK interface, clients that move it or let a hand lead it, and
+//! a hand without it.
 //!
-//! Invariant: every goal passes `joints::Limits` before the arm sees it, and the arm alone commands the drive, whose
-//! `Drive` trait is the slot for a real one.
+//! Invariant: every goal passes `joints::Limits` before the arm sees it, and the arm alone commands the
+//! drive, whose `Drive` trait is the slot for a real one.
 #![forbid(unsafe_code)]
 
 pub mod admittance;

@@ -1,6 +1,6 @@
 //! Payloads of the robot's own, and the way from the arm's values to payloads.
 //!
-//! Invariant: nothing here allocates; what comes in is checked, never repaired.
+//! Invariant: nothing here allocates; incoming values are checked, never repaired.
 
 use nalgebra::SMatrix;
 use trocar_sdk::data::{FixtureKind, JointConfiguration, JointKind, JointState, VirtualFixture};
@@ -19,8 +19,8 @@ pub struct VirtualFixtures {
     pub fixtures: List<VirtualFixture, MOST_FIXTURES>,
 }
 
-/// Jacobian of the tip: joint velocities to its twist. Rows vx vy vz (m/s) ωx ωy ωz (rad/s), columns joints in the order
-/// of `configuration_js`, row after row.
+/// Jacobian of the tip: joint velocities to its twist. Rows vx vy vz (m/s) ωx ωy ωz (rad/s), columns joints
+/// in the order of `configuration_js`, row after row.
 #[derive(Payload, Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub struct Jacobian {

@@ -1,7 +1,8 @@
-//! The arm as what a distance controller drives: over a moving retina, with a distance as good as a sensor could give.
+//! The arm as plant of a distance controller: over a moving retina, with a distance as good as a sensor could
+//! give.
 //!
-//! Invariant: purely modules, no component; the true tip is judged, seeds are fixed. It shows what arm and drive leave of a
-//! perfect measurement: the sensor's part is tested where the sensor is.
+//! Invariant: purely modules, no component; the true tip is judged, seeds are fixed. It shows what arm and
+//! drive leave of a perfect measurement: the sensor's part is tested where the sensor is.
 
 use nalgebra::{Isometry3, Point3, UnitVector3, Vector3, Vector6};
 use trocar_phantom::World;
@@ -47,7 +48,7 @@ impl Rig {
         (self.world_from_base * self.arm.settings().kinematics.forward(&truth)).translation.vector.into()
     }
 
-    /// What is left to the surface, minus the offset, m.
+    /// Returns the true distance to the surface, minus the offset, m.
     fn error_m(&self, t_s: f64) -> f64 {
         let axis = UnitVector3::new_normalize(Vector3::z());
         self.world.below(&self.true_tip(), &axis, t_s).map_or(f64::NAN, |below| below.distance_m - OFFSET_M)
@@ -142,7 +143,7 @@ fn under_a_remote_centre_the_true_shaft_follows_the_setpoint_within_5_micrometre
         while rig.arm.operating().is_busy() {
             rig.arm.step(DT);
         }
-        // The arm is where it was sent within 0.1 mrad; what is left of that has gone after a tenth of a second.
+        // The arm is where it was sent within 0.1 mrad; the rest has gone after a tenth of a second.
         (0..100).for_each(|_| rig.arm.step(DT));
         let tip = rig.arm.setpoint_cp();
         let frame = tip * Isometry3::translation(0.0, 0.0, -22e-3);

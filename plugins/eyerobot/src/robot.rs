@@ -1,8 +1,9 @@
-//! The component `eyerobot`: the arm behind CRTK interfaces, and the place of its simulated self in the world.
+//! The component `eyerobot`: the arm behind CRTK interfaces, and the place of its simulated self in the
+//! world.
 //!
-//! Invariant: commands only hand goals to the arm, `step` alone moves it; every read is a pure function of the state
-//! row, which `publish` fills after each entry that changes the arm. What no encoder sees leaves only by what is tagged
-//! `sim` or `truth`.
+//! Invariant: commands only hand goals to the arm, `step` alone moves it; every read is a pure function of
+//! the state row, which `publish` fills after each entry that changes the arm. Values that no encoder sees
+//! leave only by outputs and interfaces tagged `sim` or `truth`.
 
 mod arm_interface;
 mod config;
@@ -42,8 +43,8 @@ const FIRST_CYCLE_S: f64 = 1e-3;
     provides("arm", "local", "spatial", "body", "hand", "compliance", "axis", "virtual_fixture", "truth")
 )]
 pub struct EyeRobot {
-    /// Force and torque of the hand on the handle, in the frame of the tip; one with stamp 0 or older than handle_timeout_s
-    /// counts as none
+    /// Force and torque of the hand on the handle, in the frame of the tip; one with stamp 0 or older than
+    /// handle_timeout_s counts as none
     #[input(optional)]
     handle: In<Wrench>,
     /// Joints and tip of each cycle
@@ -52,7 +53,8 @@ pub struct EyeRobot {
     /// Pose of the tip from the encoders of each cycle, in the base frame: for filters of poses
     #[output(name = "measured_cp")]
     pose: Out<Pose>,
-    /// The hand's wrench of each cycle, with the orientation of the base frame; stamp 0 while there is no hand
+    /// The hand's wrench of each cycle, with the orientation of the base frame; stamp 0 while there is no
+    /// hand
     #[output]
     hand_cf: Out<Wrench>,
     /// True pose and twist of the tip in the simulated world
@@ -70,7 +72,7 @@ pub struct EyeRobot {
     /// The force on the handle is above its limit and no longer followed, or below it again.
     #[event("arm")]
     force_limit: Event<Flag>,
-    /// Whoever moved the arm fell silent, and the tip goes back along the tool.
+    /// The arm's client fell silent, and the tip goes back along the tool.
     #[event("axis")]
     retreats: Event<Retreat>,
     #[state]
@@ -79,7 +81,7 @@ pub struct EyeRobot {
     measured_cp: Pose,
     #[state]
     measured_cv: Twist,
-    /// Of the hand, with the orientation of the base frame.
+    /// Wrench of the hand, with the orientation of the base frame.
     #[state]
     felt_cf: Wrench,
     #[state]
@@ -102,7 +104,7 @@ pub struct EyeRobot {
     body_jacobian: Jacobian,
     #[state]
     spatial_jacobian: Jacobian,
-    /// Where the kinematic base stands in the base frame.
+    /// Pose of the kinematic base in the base frame.
     #[state]
     base_frame: Pose,
     /// In force, in the kinematic base.
@@ -111,7 +113,7 @@ pub struct EyeRobot {
     /// Beside them, kind 0 without one.
     #[state]
     guard: VirtualFixture,
-    /// When whoever moves the arm falls silent.
+    /// Way back when the arm's client falls silent.
     #[state]
     retreat: Retreat,
     /// Gains of hands-on control.
@@ -123,13 +125,14 @@ pub struct EyeRobot {
     /// Servo commands since Start whose stamp was too old, or ahead of the clock.
     #[state]
     stale_commands: u64,
-    /// Motions by velocity or force since Start that ended because nobody repeated them within servo_timeout_s: where it
-    /// grows while somebody commands, commands come too slowly, and the arm brakes between them.
+    /// Motions by velocity or force since Start that ended because they were not repeated within
+    /// servo_timeout_s: if it grows while a client commands, commands come too slowly, and the arm brakes
+    /// between them.
     #[state]
     servo_timeouts: u64,
     /// Count of the arm at Start.
     timeouts_before: u64,
-    /// What the output `tip` says.
+    /// Value of the output `tip`.
     #[state]
     truth: CartesianState,
     #[config]
@@ -138,21 +141,21 @@ pub struct EyeRobot {
     host: Host,
     arm: Arm<SimulatedDrive>,
     hand: Option<Hand>,
-    /// It was configured before, and stands where it stood.
+    /// The component was configured before, and the arm stands where it stood.
     stands: bool,
-    /// The kinematic base in the frame of poses while nobody has set that.
+    /// The kinematic base in the frame of poses while no client has set that.
     first_base: Isometry3<f64>,
     /// The kinematic base in the simulated world.
     world_from_base: Isometry3<f64>,
     /// The handle was felt in this cycle.
     felt: bool,
-    /// Of the last step; a command waits for the next one at least.
+    /// Period of the last step; a command waits for the next one at least.
     period_s: f64,
 }
 
 impl EyeRobot {
-    /// The arm as the configuration wants it, DISABLED at `position` (m, rad), with base frame, fixtures and gains of
-    /// the state row; referenced, if the one before was.
+    /// Builds the arm as the configuration wants it, DISABLED at `position` (m, rad), with base frame,
+    /// fixtures and gains of the state row; referenced, if the one before was.
     fn build(&mut self, position: Joints, homed: bool) {
         let drive = SimulatedDrive::new(self.cfg.simulation(), position);
         self.arm = Arm::new(self.cfg.settings(), drive, position);
@@ -162,7 +165,8 @@ impl EyeRobot {
             self.arm.referenced();
         }
         if !self.configuration_js.names.is_empty() {
-            // Gains were checked when they were set; a row of another version may hold others, which are left out.
+            // Gains were checked when they were set; a row of another version may hold others, which are left
+            // out.
             let _ = self.arm.set_gain(&Vector6::from(self.gain));
         }
         let fixtures = self.fixtures.fixtures.iter().enumerate();
@@ -203,12 +207,12 @@ impl EyeRobot {
         Ok(())
     }
 
-    /// Feels the handle: what is connected, or the simulated hand.
+    /// Feels the handle: the connected input, or the simulated hand.
     fn feel(&mut self, now: Stamp) {
         let wrench = match (self.handle.sample(), &self.hand) {
             (Some(sample), _) if sample.stale => None,
             (Some(sample), _) => {
-                // An invalid one (stamp 0, CRTK) is none, and so is one that nobody renews.
+                // An invalid wrench (stamp 0, CRTK) is none, and so is one that is not renewed.
                 let age_s = now.seconds_since(sample.value.stamp);
                 if !sample.value.is_valid() || age_s.abs() > self.cfg.handle_timeout_s {
                     return self.felt_wrench(None);
@@ -375,7 +379,7 @@ impl Component for EyeRobot {
         Ok(())
     }
 
-    /// Where the joints stand (m, rad).
+    /// Returns the positions of the joints (m, rad).
     fn snapshot(&self) -> Vec<u8> {
         self.arm.measured().position.iter().flat_map(|q| q.to_le_bytes()).collect()
     }

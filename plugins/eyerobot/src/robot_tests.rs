@@ -187,7 +187,7 @@ fn servo_commands_that_lay_in_wait_or_come_from_another_clock_are_refused_and_co
         assert!(taken || all.iter().all(|done| done.as_ref().unwrap_err().reason.contains(word)), "{all:?}");
     }
     assert_eq!(bench.state().stale_commands, 20);
-    // What was refused moves nothing, and what is no stream of goals is carried out however late.
+    // Refused commands move nothing, and a command that is no stream of goals is carried out however late.
     bench.command::<(), ()>("hold", ()).unwrap();
     bench.step(200);
     let stale = Twist { stamp: Stamp::from_ns(1), linear: [0.005, 0.0, 0.0], ..Twist::default() };

@@ -1,8 +1,10 @@
-//! Trajectories for `move_jp`: a trapezoid of velocity per joint, stretched so that all joints arrive together.
+//! Trajectories for `move_jp`: a trapezoid of velocity per joint, stretched so that all joints arrive
+//! together.
 //!
-//! Invariant: a planned trajectory never exceeds the speed and acceleration it was planned with (unless it starts
-//! faster, then it brakes at once) and ends exactly at its goal, at rest. A profile has at most three phases of constant
-//! acceleration, joined by d = (v₀ + v₁)/2 · t and v₁² = v₀² + 2 a d; `at` is closed form, only `plan` iterates (bounded).
+//! Invariant: a planned trajectory never exceeds the speed and acceleration it was planned with (unless it
+//! starts faster, then it brakes at once) and ends exactly at its goal, at rest. A profile has at most three
+//! phases of constant acceleration, joined by d = (v₀ + v₁)/2 · t and v₁² = v₀² + 2 a d; `at` is closed form,
+//! only `plan` iterates (bounded).
 
 use crate::joints::{COUNT, Joints, Limits};
 
@@ -17,8 +19,8 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Plans from `position` with `velocity` to rest at `goal`. From rest all joints arrive together; a joint that
-    /// already moves may overshoot by its own braking distance, and come back.
+    /// Plans from `position` with `velocity` to rest at `goal`. From rest all joints arrive together; a joint
+    /// that already moves may overshoot by its own braking distance, and come back.
     pub fn plan(position: &Joints, velocity: &Joints, goal: &Joints, limits: &Limits) -> Self {
         let plan = |i: usize, speed: f64| {
             Profile::plan(position[i], velocity[i], goal[i], speed, limits.acceleration[i])
@@ -45,7 +47,8 @@ impl Trajectory {
         self.duration_s
     }
 
-    /// Position (m, rad) and velocity (m/s, rad/s) at `t_s` seconds after the start; the goal at rest once it is over.
+    /// Returns position (m, rad) and velocity (m/s, rad/s) at `t_s` seconds after the start; the goal at rest
+    /// once it is over.
     pub fn at(&self, t_s: f64) -> (Joints, Joints) {
         let at = self.profiles.map(|profile| profile.at(t_s));
         (Joints::from_fn(|i, _| at[i].0), Joints::from_fn(|i, _| at[i].1))
@@ -55,8 +58,9 @@ impl Trajectory {
 /// Part of the acceleration with which `approach` means to brake; the rest is for what the period rounds.
 const BRAKING: f64 = 0.8;
 
-/// Velocity of one joint for the next period of `dt_s` that brings it to `goal` soon and at rest, within `speed` and
-/// `acceleration`, from `position` with `velocity`: for goals that may be another one in each period.
+/// Returns the velocity of one joint for the next period of `dt_s` that brings it to `goal` soon and at rest,
+/// within `speed` and `acceleration`, from `position` with `velocity`: for goals that may be another one in
+/// each period.
 pub fn approach(position: f64, velocity: f64, goal: f64, speed: f64, acceleration: f64, dt_s: f64) -> f64 {
     let way = goal - position;
     let stoppable = (2.0 * BRAKING * acceleration * way.abs()).sqrt();
@@ -81,7 +85,7 @@ struct Profile {
 impl Profile {
     fn plan(start: f64, start_velocity: f64, goal: f64, speed: f64, acceleration: f64) -> Self {
         let way = goal - start;
-        // Where the joint would rest if it braked now decides in which direction it has to go.
+        // The place where the joint would rest if it braked now decides in which direction it has to go.
         let to_go = way - start_velocity * start_velocity.abs() / (2.0 * acceleration);
         let side = if to_go < 0.0 { -1.0 } else { 1.0 };
         let mut cruise_velocity = side * speed;

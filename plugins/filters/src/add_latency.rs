@@ -1,11 +1,12 @@
-//! Delays samples of any type, to try what a slow connection does to whatever follows.
+//! Delays samples of any type, to try the effect of a slow connection.
 //!
-//! Invariant: samples leave in their order with the stamp they came with, none before its delay is over and none altered.
+//! Invariant: samples leave in their order with the stamp they came with, none before its delay is over and
+//! none altered.
 use trocar_sdk::prelude::*;
 
 #[derive(Config)]
 struct AddLatencyConfig {
-    /// How long each sample is kept; the component's period comes on top
+    /// Delay of each sample; the component's period comes on top
     #[config(live, min = 0.0, max = 60.0, unit = "s", default = 0.01)]
     delay_s: f64,
     /// Up to how much longer, evenly spread

@@ -1,8 +1,8 @@
 //! Second-order sections: low-pass, high-pass, band-pass, notch.
 //!
-//! Invariant: nothing comes out that was not in the signal. The filter begins at rest on its first sample. With
-//! other settings it begins at rest on its last output, or on its last input where the old or the new settings
-//! let nothing constant through; the rest of a step fades as fast as the new settings follow.
+//! Invariant: nothing comes out that was not in the signal. The filter begins at rest on its first sample.
+//! With other settings it begins at rest on its last output, or on its last input if the old or the new
+//! settings let nothing constant through; the rest of a step fades as fast as the new settings follow.
 use std::f64::consts::TAU;
 
 use trocar_sdk::data::{Scalar, Wrench};
@@ -19,7 +19,7 @@ const ENOUGH: u32 = 16;
 
 #[derive(Config)]
 struct BiquadConfig {
-    /// What passes
+    /// Kind of filter: what passes
     #[config(live, one_of = ["low_pass", "high_pass", "band_pass", "notch"], default = "low_pass")]
     kind: String,
     /// -3 dB corner, or the middle of band and notch
@@ -30,9 +30,8 @@ struct BiquadConfig {
     q: f64,
 }
 
-/// Filters each number of scalars and wrenches, at the rate their stamps say; while these say nothing, at the rate of the
-/// component (R. Bristow-Johnson, *Cookbook formulae for audio EQ biquad filter
-/// coefficients*).
+/// Filters each number of scalars and wrenches, at the rate their stamps say; while these say nothing, at the
+/// rate of the component (R. Bristow-Johnson, *Cookbook formulae for audio EQ biquad filter coefficients*).
 #[derive(Component)]
 #[component(rate_hz = 1000, provides("ctl"))]
 pub struct Biquad {
@@ -141,12 +140,13 @@ struct Lane<const N: usize> {
 }
 
 impl<const N: usize> Lane<N> {
-    /// The rate, Hz, once it is no guess any more: the stamps say it, or have said nothing for long enough; 0 before that.
+    /// Returns the rate, Hz, once it is certain: the stamps say it, or have said nothing for long enough; 0
+    /// before that.
     fn sure_hz(&self) -> f64 {
         if self.pace.is_known() || self.seen >= ENOUGH { self.hz } else { 0.0 }
     }
 
-    /// Makes the design these settings ask for; what is remembered goes on under it.
+    /// Makes the design these settings ask for; the memory goes on under it.
     fn design_for(&mut self, cfg: &BiquadConfig) {
         if self.hz <= 0.0 || cfg.fits(self.hz).is_err() {
             return;
@@ -193,7 +193,7 @@ struct Design {
 }
 
 impl Default for Design {
-    /// Everything passes as it is: that of a rate nobody knows yet.
+    /// Returns the design for an unknown rate: everything passes unchanged.
     fn default() -> Self {
         Design { b: [1.0, 0.0, 0.0], a: [0.0; 2], constant: 1.0, fades: 0.0 }
     }
@@ -228,7 +228,7 @@ impl Design {
         Design { b: b.map(|b| b / a0), a, constant, fades: (-turn).exp() }
     }
 
-    /// What a filter remembers that has seen `x` for ever.
+    /// Returns the memory of a filter that has seen `x` for ever.
     fn at_rest(&self, x: f64) -> Memory {
         let y = self.constant * x;
         let second = self.b[2] * x - self.a[1] * y;

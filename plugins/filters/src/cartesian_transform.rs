@@ -1,7 +1,7 @@
 //! Poses in another frame: a fixed transform from the configuration, or the newest one that comes in.
 //!
-//! Invariant: what is not a pose, and what is older than `max_age_s`, is left out, never repaired; a pose is never multiplied
-//! with a transform that is so much older than itself.
+//! Invariant: a sample that is not a pose, or is older than `max_age_s`, is left out, never repaired; a pose
+//! is never multiplied with a transform that is so much older than itself.
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use trocar_sdk::data::{Pose, Transform};
 use trocar_sdk::prelude::*;
@@ -10,7 +10,7 @@ use crate::good;
 
 #[derive(Config)]
 struct CartesianTransformConfig {
-    /// Of the transform that holds as long as none has come in
+    /// Translation of the transform that holds as long as none has come in
     #[config(live, unit = "m", min = -1000.0, max = 1000.0, default = [0.0, 0.0, 0.0])]
     translation_m: [f64; 3],
     /// Unit quaternion x, y, z, w of it
@@ -22,7 +22,8 @@ struct CartesianTransformConfig {
     /// `before`: T · pose, another reference; `behind`: pose · T, another point of the tool
     #[config(live, one_of = ["before", "behind"], default = "before")]
     side: String,
-    /// Oldest pose that is multiplied, and how much older than it the transform that came in may be; 0: any age
+    /// Oldest pose that is multiplied, and how much older than it the transform that came in may be; 0: any
+    /// age
     #[config(live, min = 0.0, max = 3600.0, unit = "s", default = 0.1)]
     max_age_s: f64,
 }

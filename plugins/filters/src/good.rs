@@ -1,15 +1,17 @@
-//! What a sample must be to be taken: numbers that something can measure, poses that are poses, stamps that are not ahead.
+//! Conditions for a sample to be taken: numbers that something can measure, poses that are poses, stamps that
+//! are not ahead.
 //!
-//! Invariant: what passes here keeps every filter of this plugin finite, whatever its settings: products of three such numbers
-//! with the largest setting are finite.
+//! Invariant: samples that pass here keep every filter of this plugin finite, whatever its settings: products
+//! of three such numbers with the largest setting are finite.
 use nalgebra::Isometry3;
 use trocar_sdk::data::Pose;
 use trocar_sdk::prelude::*;
 
-/// Largest number that is taken, in whatever unit: nothing is measured beyond it.
+/// Largest number that is taken, in any unit: nothing is measured beyond it.
 pub(crate) const LARGEST: f64 = 1e100;
 
-/// How far a stamp may lie ahead of the step that takes it, s: who predicts stamps what it predicts.
+/// Most that a stamp may lie ahead of the step that takes it, s: a source that predicts stamps what it
+/// predicts.
 const AHEAD_S: f64 = 1.0;
 
 /// A number that something can have measured.

@@ -17,10 +17,11 @@ struct KalmanConfig {
     /// Noise of the acceleration, as spectral density: (unit/s²)²/Hz
     #[config(live, min = 1e-24, max = 1e24, default = 0.02)]
     acceleration: f64,
-    /// A measurement so many standard deviations beside what was expected is an outlier and left out; 0 takes all
+    /// A measurement that lies so many standard deviations beside the expected value is an outlier and left
+    /// out; 0 takes all
     #[config(live, min = 0.0, max = 1000.0, default = 0.0)]
     gate: f64,
-    /// How far ahead of the stamp the estimate is carried: the delay of what follows
+    /// Time ahead of the stamp to which the estimate is carried: the delay of what follows
     #[config(live, min = 0.0, max = 1.0, unit = "s", default = 0.0)]
     predict_s: f64,
     /// After a gap this long, or so many outliers' time, the filter begins anew
@@ -28,22 +29,23 @@ struct KalmanConfig {
     forget_s: f64,
 }
 
-/// What is known of a number.
+/// Estimate of a number.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Estimate {
-    /// Of the measurement; the value is `predict_s` later.
+    /// Stamp of the measurement; the value is `predict_s` later.
     pub stamp: Stamp,
     pub value: f64,
     /// Per second.
     pub rate: f64,
     /// Standard deviation of the value.
     pub sigma: f64,
-    /// Measurement less what was expected.
+    /// Measurement less the expected value.
     pub innovation: f64,
 }
 
-/// Estimates position and velocity of a number, and of the three coordinates of a pose; its orientation passes.
+/// Estimates position and velocity of a number, and of the three coordinates of a pose; its orientation
+/// passes.
 #[derive(Component)]
 #[component(rate_hz = 1000, provides("ctl"))]
 pub struct Kalman {
@@ -118,11 +120,11 @@ impl Component for Kalman {
 struct Track<const N: usize> {
     at: [f64; N],
     rate: [f64; N],
-    /// Of value and rate: variance, covariance, variance.
+    /// Covariance of value and rate: variance, covariance, variance.
     p: [f64; 3],
     /// Variance of a measurement that `p` goes with.
     r: f64,
-    /// Of the last measurement taken; invalid before the first one.
+    /// Stamp of the last measurement taken; invalid before the first one.
     stamp: Stamp,
 }
 
@@ -133,8 +135,9 @@ impl<const N: usize> Default for Track<N> {
 }
 
 impl<const N: usize> Track<N> {
-    /// Takes a measurement that is good; gives what it was beside the expected, or `None` when it is left out. White-noise acceleration:
-    /// Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, 6.2.
+    /// Takes a measurement that is good; returns its distance from the expected value, or `None` if it is
+    /// left out. White-noise acceleration: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
+    /// Tracking and Navigation*, 2001, 6.2.
     fn measure(&mut self, z: [f64; N], stamp: Stamp, cfg: &KalmanConfig) -> Option<[f64; N]> {
         let r = cfg.sigma * cfg.sigma;
         let dt = stamp.seconds_since(self.stamp);
@@ -142,7 +145,7 @@ impl<const N: usize> Track<N> {
             return None;
         }
         if !self.stamp.is_valid() || dt > cfg.forget_s {
-            // Nothing is known of the rate: it may be what the acceleration makes of it until it is forgotten.
+            // The rate is unknown: it may be what the acceleration makes of it until it is forgotten.
             let unknown = (cfg.acceleration * cfg.forget_s).max(r / (cfg.forget_s * cfg.forget_s));
             *self = Track { at: z, rate: [0.0; N], p: [r, 0.0, 1e4 * unknown], r, stamp };
             return Some([0.0; N]);

@@ -1,6 +1,7 @@
 //! Payloads as the numbers in them, for filters that treat each number alike.
 //!
-//! Invariant: the numbers of a payload are always the same ones in the same order; its stamp is none of them, and stays.
+//! Invariant: the numbers of a payload are always the same ones in the same order; its stamp is none of them,
+//! and stays.
 use trocar_sdk::data::{Scalar, Wrench};
 use trocar_sdk::prelude::*;
 

@@ -1,13 +1,14 @@
-//! Filters of plain samples, one file each: `low_pass`, `biquad`, `moving_median`, `kalman`, `resampler`, `pid`,
-//! `cartesian_transform`, `watchdog`, `add_latency`.
+//! Filters of plain samples, one file each: `low_pass`, `biquad`, `moving_median`, `kalman`, `resampler`,
+//! `pid`, `cartesian_transform`, `watchdog`, `add_latency`.
 //!
-//! Invariant: a sample with a number that nothing can have measured is left out and counted, and the filter goes on with the next
-//! one as if it had not come; `add_latency` alone looks at no numbers. `low_pass.rs` is the sample that the
-//! documentation shows, a whole plugin; it stays on one screen and is laid out by hand.
+//! Invariant: a sample with a number that nothing can have measured is left out and counted, and the filter
+//! goes on with the next one as if it had not come; `add_latency` alone looks at no numbers. `low_pass.rs` is
+//! the sample that the documentation shows, a whole plugin; it stays on one screen and is laid out by hand.
 #![forbid(unsafe_code)]
 
-// `low_pass.rs` ends with `trocar_plugin!(LowPass)`, as the whole plugin it is. Here it has company: in this crate the name
-// `trocar_sdk` is the crate itself, which is the sdk but for what that macro makes of one class.
+// `low_pass.rs` ends with `trocar_plugin!(LowPass)`, as the whole plugin it is. Here it has company: in this
+// crate the name `trocar_sdk` is the crate itself, which is the sdk but for what that macro makes of one
+// class.
 extern crate self as trocar_sdk;
 extern crate trocar_sdk as sdk;
 #[doc(hidden)]

@@ -106,7 +106,7 @@ impl<const N: usize> Window<N> {
             let (newer, older) = sorted[..there].split_at_mut(there - before);
             newer.copy_from_slice(&last[at + 1 - newer.len()..=at]);
             older.copy_from_slice(&last[MOST - before..]);
-            // Of an even number, the lower one of the two in the middle.
+            // The median of an even number is the lower one of the two in the middle.
             let (_, median, _) = sorted[..there].select_nth_unstable_by((there - 1) / 2, f64::total_cmp);
             *number = *median;
         }

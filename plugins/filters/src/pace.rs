@@ -11,7 +11,7 @@ const OTHER: f64 = 0.02;
 /// So many times the usual interval without a sample are a silence.
 const SILENCE: f64 = 8.0;
 
-/// Measures the rate of what comes.
+/// Measures the rate of samples.
 #[derive(Default)]
 pub(crate) struct Pace {
     /// Stamp of the sample before, ns.
@@ -31,7 +31,7 @@ impl Pace {
         self.hz > 0.0
     }
 
-    /// Takes note of a sample; the rate, Hz, where it is another one from now on.
+    /// Takes note of a sample; returns the rate, Hz, if it changes.
     pub(crate) fn note(&mut self, stamp_ns: u64) -> Option<f64> {
         let last_ns = self.last_ns.replace(stamp_ns);
         let gap_ns = last_ns.and_then(|last_ns| stamp_ns.checked_sub(last_ns));

@@ -1,7 +1,7 @@
 //! A PID controller of one number.
 //!
-//! Invariant: the output lies within its limits, and the integral does not grow while it is held there. Without a setpoint and
-//! a measurement that are young enough the output is the safe one.
+//! Invariant: the output lies within its limits, and the integral does not grow while it is held there.
+//! Without a setpoint and a measurement that are young enough the output is the safe one.
 use trocar_sdk::data::Scalar;
 use trocar_sdk::prelude::*;
 
@@ -63,7 +63,8 @@ pub struct Pid {
     controls: Flag,
     #[state]
     at_limit: Flag,
-    /// Samples left out: not finite, beyond 1e100, or from far ahead. The one before holds until it is too old.
+    /// Samples left out: not finite, beyond 1e100, or from far ahead. The one before holds until it is too
+    /// old.
     #[state]
     rejected: u64,
     #[config]
@@ -153,7 +154,7 @@ impl Component for Pid {
         let others = kp * self.error - kd * slope;
         let more = self.integral + ki * self.error * dt;
         let wished = others + more;
-        // It grows up to the limit and not beyond; back it always may.
+        // The integral grows up to the limit and not beyond; it may always go back.
         self.integral = if wished > highest {
             more.min((highest - others).max(self.integral))
         } else if wished < lowest {

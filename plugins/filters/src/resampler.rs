@@ -1,7 +1,8 @@
 //! Samples that come as they like, on the grid of this component.
 //!
-//! Invariant: an output is the signal at its stamp: `delay_s` before the deadline, between two samples or carried on beyond the
-//! newest one for `ahead_s`. What is only held keeps the stamp it is of, and is no longer given when it is too old.
+//! Invariant: an output is the signal at its stamp: `delay_s` before the deadline, between two samples or
+//! carried on beyond the newest one for `ahead_s`. A value that is only held keeps its own stamp, and is no
+//! longer given when it is too old.
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_sdk::data::{Pose, Scalar};
 use trocar_sdk::prelude::*;
@@ -16,13 +17,14 @@ struct ResamplerConfig {
     /// `linear` (orientations on the shortest arc), or `hold`: the newest sample before the instant
     #[config(live, one_of = ["linear", "hold"], default = "linear")]
     method: String,
-    /// How long before now the instant lies; a little more than the time between two samples gives pure interpolation
+    /// Time from the instant to now; a little more than the time between two samples gives pure interpolation
     #[config(live, min = 0.0, max = 10.0, unit = "s", default = 0.02)]
     delay_s: f64,
-    /// How far beyond the newest sample its motion is carried on; then it is held
+    /// Time for which the motion is carried on beyond the newest sample; then it is held
     #[config(live, min = 0.0, max = 10.0, unit = "s", default = 0.02)]
     ahead_s: f64,
-    /// How long a sample is held; then nothing comes out until the next one, and nothing is interpolated over a longer gap
+    /// Time for which a sample is held; then nothing comes out until the next one, and nothing is
+    /// interpolated over a longer gap
     #[config(live, min = 0.0001, max = 3600.0, unit = "s", default = 0.5)]
     max_age_s: f64,
 }
@@ -116,14 +118,15 @@ impl Component for Resampler {
     }
 }
 
-/// What is known of a signal at an instant.
+/// Knowledge of a signal at an instant.
 #[derive(Clone, Copy, PartialEq)]
 enum Signal<T> {
     /// No sample is as old as the instant.
     NotYet,
     /// The newest sample is too old.
     TooOld,
-    /// It lies the part of the way between two samples, above 1 beyond the newest one; as it was at `stamp`.
+    /// The instant lies the part of the way between two samples, above 1 beyond the newest one; the value is
+    /// as it was at `stamp`.
     Is { from: T, to: T, part: f64, stamp: Stamp },
 }
 
@@ -190,7 +193,7 @@ impl<T: Copy> Past<T> {
             if instant >= before.0 {
                 let (way, gone) = (after.0.seconds_since(before.0), instant.seconds_since(before.0));
                 let most = way + cfg.ahead_s;
-                // Carried on no further: it is what it was there.
+                // Carried on no further: the value stays as it was there.
                 let ended = Stamp::from_ns(after.0.ns() + (cfg.ahead_s * 1e9) as u64);
                 let stamp = if gone > most { ended } else { instant };
                 return Signal::Is { from: before.1, to: after.1, part: gone.min(most) / way, stamp };

@@ -1,7 +1,8 @@
-//! Watches whether data still come, and lets a device hold when they do not.
+//! Watches whether data still come, and lets a device hold if they do not.
 //!
-//! Invariant: data are alive only after a sample since Start or Resume, and only as long as the newest one is young; lost and
-//! found are told once each, in turn; the device is told to hold when data are lost, and again and again while they are.
+//! Invariant: data are alive only after a sample since Start or Resume, and only as long as the newest one is
+//! young. Lost and found are told once each, in turn. The device is told to hold when data are lost, and
+//! again and again while they are.
 use trocar_sdk::prelude::*;
 
 #[derive(Config)]
@@ -9,12 +10,13 @@ struct WatchdogConfig {
     /// Age of the newest sample at which the data count as lost
     #[config(live, min = 0.0001, max = 3600.0, unit = "s", default = 0.05)]
     timeout_s: f64,
-    /// How often the device is told to hold while data are lost: one that did not hear it, or came later, does then
+    /// Interval at which the device is told to hold while data are lost: one that did not hear it, or came
+    /// later, then does
     #[config(live, min = 0.001, max = 3600.0, unit = "s", default = 0.1)]
     repeat_s: f64,
 }
 
-/// Tells when samples of any type are too old, and calls `hold` of whatever is connected.
+/// Tells when samples of any type are too old, and calls `hold` of the connected component.
 #[derive(Component)]
 #[component(rate_hz = 1000, provides("ctl"))]
 pub struct Watchdog {
@@ -38,10 +40,10 @@ pub struct Watchdog {
     /// Whether they are lost; false while the first ones are waited for, no longer than `timeout_s`.
     #[state]
     data_lost: Flag,
-    /// How often data were lost since Start.
+    /// Number of times data were lost since Start.
     #[state]
     losses: u64,
-    /// How often the device was told to hold since Start.
+    /// Number of times the device was told to hold since Start.
     #[state]
     holds: u64,
     #[config]
@@ -49,7 +51,7 @@ pub struct Watchdog {
     #[host]
     host: Host,
     begun: Stamp,
-    /// Of the newest sample; none before the first one.
+    /// Stamp of the newest sample; none before the first one.
     newest: Option<Stamp>,
     lost_at: Stamp,
     held_at: Stamp,
@@ -78,7 +80,7 @@ impl Component for Watchdog {
 
     fn step(&mut self, t: &Tick) -> Result {
         let now = t.now();
-        // What lay there before Start tells nothing; a stamp from far ahead would let the data live for ever.
+        // A sample from before Start tells nothing; a stamp from far ahead would let the data live for ever.
         let come = self.watched.latest().map(|sample| sample.stamp());
         let timeout_s = self.cfg.timeout_s;
         self.newest = come.filter(|s| *s >= self.begun && !s.is_ahead_of(now, timeout_s)).or(self.newest);

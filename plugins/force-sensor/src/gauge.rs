@@ -1,6 +1,7 @@
 //! The sensor behind the interface: bias, range, and the force at one place of the tool.
 //!
-//! Invariant: no clock and no allocation; a bias is a mean of real samples, taken only when there are enough of them.
+//! Invariant: no clock and no allocation; a bias is a mean of real samples, taken only when there are enough
+//! of them.
 
 use nalgebra::{Isometry3, Point3, UnitVector3, Vector3};
 use trocar_phantom::World;
@@ -66,7 +67,8 @@ impl Gauge {
         Ok(())
     }
 
-    /// Compares a load (N) with the range: whether it is outside now, where that is another answer than before.
+    /// Compares a load (N) with the range: whether it is outside now, where that is another answer than
+    /// before.
     pub(crate) fn compare(&mut self, load: &Vector3<f64>, range_n: f64) -> Option<bool> {
         let outside = load.amax() > range_n;
         let changed = outside != self.overloaded;

@@ -1,6 +1,7 @@
 //! The component `force_sensor`, behind the contract of force sensors.
 //!
-//! Invariant: a sample without a valid tip has stamp 0 and no force; values outside the range stay as measured.
+//! Invariant: a sample without a valid tip has stamp 0 and no force; values outside the range stay as
+//! measured.
 
 use trocar_phantom::World;
 use trocar_phantom::noise::Noise;

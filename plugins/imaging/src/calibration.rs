@@ -1,7 +1,7 @@
 //! The calibration of a stereo camera, read from the JSON that `calibrate.py` writes, checked whole.
 //!
-//! Invariant: a `Calibration` that exists can rectify: focal lengths are those of cameras, rotations are rotations, both new
-//! projections have the same rows, the baseline is not zero, every number is finite.
+//! Invariant: a `Calibration` that exists can rectify: focal lengths are those of cameras, rotations are
+//! rotations, both new projections have the same rows, the baseline is not zero, every number is finite.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -37,7 +37,8 @@ pub struct Calibration {
     pub focal_px: f64,
     /// From the left to the right camera, m.
     pub baseline_m: f64,
-    /// Column of the right principal point less that of the left one, px: depth = focal · baseline / (disparity + offset).
+    /// Column of the right principal point less that of the left one, px: depth = focal · baseline /
+    /// (disparity + offset).
     pub offset_px: f64,
 }
 
@@ -45,7 +46,8 @@ impl Calibration {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// It cannot be read, is not such JSON, or [what it says](CalibrationError) cannot be; each names the file.
+    /// It cannot be read, is not such JSON, or [what it says](CalibrationError) cannot be; each names the
+    /// file.
     pub fn load(path: &Path) -> Result<Self, CalibrationError> {
         let text = std::fs::read_to_string(path)
             .map_err(|why| CalibrationError::Unreadable { path: path.into(), why: why.to_string() })?;
@@ -105,8 +107,8 @@ struct Side {
     projection: [[f64; 4]; 3],
 }
 
-/// What both projections must have in common and have not: the name of each number, and what left and right say. Only the
-/// columns of the principal points and of the cameras may differ.
+/// What both projections must have in common and have not: the name of each number, and what left and right
+/// say. Only the columns of the principal points and of the cameras may differ.
 fn differences(left: &[[f64; 4]; 3], right: &[[f64; 4]; 3]) -> Vec<(&'static str, f64, f64)> {
     let shared = [("fx", 0, 0), ("skew", 0, 1), ("fy", 1, 1), ("cy", 1, 2), ("row of the camera", 1, 3)];
     shared
@@ -158,7 +160,8 @@ fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
             return Err(bad(key, "it is not of the form f 0 c, 0 f c, 0 0 1".into()));
         }
     }
-    // Rectified images share the axes of the left camera: its column is 0, and no camera stands in front of the other.
+    // Rectified images share the axes of the left camera: its column is 0, and no camera stands in front of
+    // the other.
     let behind = from.projection[2][3];
     if behind != 0.0 || (side == "left" && from.projection[0][3] != 0.0) {
         let (x, z) = (from.projection[0][3], behind);
@@ -229,7 +232,8 @@ pub enum CalibrationError {
         /// Why.
         why: Box<CalibrationError>,
     },
-    /// The rectified images would not have one scale, or what lies in a row of one would not lie in the same row of the other.
+    /// The rectified images would not have one scale, or what lies in a row of one would not lie in the same
+    /// row of the other.
     Projections {
         /// What must be equal and is not: its name, and what the left and the right projection say, px.
         differ: Vec<(&'static str, f64, f64)>,

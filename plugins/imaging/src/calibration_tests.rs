@@ -15,7 +15,8 @@ fn good() -> Value {
     json!({"format": FORMAT, "version": 1, "image_size": [640, 480], "left": side(0.0), "right": side(-24.5)})
 }
 
-/// The sentence for a calibration in which the value at `pointer` is another one; without a value it is taken away.
+/// The sentence for a calibration in which the value at `pointer` is another one; without a value it is taken
+/// away.
 fn refused(pointer: &str, value: Option<Value>) -> String {
     let mut file = good();
     match value {

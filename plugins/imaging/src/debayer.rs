@@ -1,12 +1,12 @@
 //! The colours of a sensor with one value per pixel behind a filter of rows R G R G … and G B G B ….
 //!
-//! Invariant: bilinear: a missing colour is the mean of its two or four nearest, rounded half up; outside of the image
-//! lies its mirror image, which keeps the pattern.
+//! Invariant: bilinear: a missing colour is the mean of its two or four nearest, rounded half up; outside of
+//! the image lies its mirror image, which keeps the pattern.
 
 use crate::simd::{self, Avx2};
 
-/// Fills a row of RGB pixels. `rows` are the one above, the row itself and the one below; `odd` when it is one of the
-/// G B rows. All three have at least two pixels, and `dst` as many.
+/// Fills a row of RGB pixels. `rows` are the one above, the row itself and the one below; `odd` when it is
+/// one of the G B rows. All three have at least two pixels, and `dst` as many.
 pub fn row(rows: [&[u8]; 3], odd: bool, dst: &mut [u8]) {
     row_with(Avx2::detect(), rows, odd, dst);
 }

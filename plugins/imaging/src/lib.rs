@@ -1,6 +1,6 @@
 //! Shared by plugins: stereo calibration, brightness of colours, colours of YUYV and of mosaics, images as
-//! people look at them, letters, threads beside the step with the programs they start, and which instructions the
-//! processor has.
+//! people look at them, letters, threads beside the step with the programs they start, and which instructions
+//! the processor has.
 //!
 //! Invariant: functions of pixels give the same bytes whichever instructions they use.
 #![deny(unsafe_code)]

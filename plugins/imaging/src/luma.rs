@@ -1,6 +1,7 @@
 //! Colour to brightness after ITU-R BT.601: Y = 0.299 R + 0.587 G + 0.114 B, with integer weights.
 //!
-//! Invariant: the weights add to 256 and the sum fits 16 bits, so black stays 0, white stays 255, grey stays itself.
+//! Invariant: the weights add to 256 and the sum fits 16 bits, so black stays 0, white stays 255, grey stays
+//! itself.
 
 use crate::simd::Avx2;
 
@@ -13,7 +14,8 @@ pub fn luma(red: u8, green: u8, blue: u8) -> u8 {
     ((r * u16::from(red) + g * u16::from(green) + b * u16::from(blue) + 128) >> 8) as u8
 }
 
-/// Brightness of a row of RGB pixels; the shorter of the two rows decides how many. `lanes` as of [`Avx2::detect`].
+/// Brightness of a row of RGB pixels; the shorter of the two rows decides how many. `lanes` as of
+/// [`Avx2::detect`].
 pub fn luma_row(lanes: Option<Avx2>, rgb: &[u8], gray: &mut [u8]) {
     let pixels = (rgb.len() / 3).min(gray.len());
     let done = lanes.map_or(0, |lanes| lanes.luma(&rgb[..3 * pixels], &mut gray[..pixels]));

@@ -1,7 +1,8 @@
 //! Disparity and depth as colours for people: near is red, far is blue, where nothing is known it is black.
 //!
-//! Invariant: colours go by 1/depth, which is disparity but for a factor, so both show one scene alike; whatever the values are,
-//! they have colours. Colours: "Turbo" (A. Mikhailov, Google AI Blog, 2019), its published polynomials of degree 5.
+//! Invariant: colours go by 1/depth, which is disparity but for a factor, so both show one scene alike;
+//! whatever the values are, they have colours. Colours: "Turbo" (A. Mikhailov, Google AI Blog, 2019), its
+//! published polynomials of degree 5.
 
 use trocar_sdk::data::{ImageView, PixelFormat};
 

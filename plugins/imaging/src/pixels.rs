@@ -1,7 +1,7 @@
 //! Images of every format as red, green, blue, for people to look at.
 //!
-//! Invariant: colours are those that the filters make of the same pixels; lower halves of 16 bits are dropped. Disparity and
-//! depth have [colours of their own](crate::nearness), scaled to what the frame holds.
+//! Invariant: colours are those that the filters make of the same pixels; lower halves of 16 bits are
+//! dropped. Disparity and depth have [colours of their own](crate::nearness), scaled to what the frame holds.
 
 use trocar_sdk::data::{BadFrame, ImageView, PixelFormat, StereoHeader};
 

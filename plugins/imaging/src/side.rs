@@ -1,8 +1,9 @@
 //! Threads beside the step: ordinary ones, however real-time the thread is that makes them.
 //!
-//! Invariant: a new thread has the scheduling class that programs have by default in this process, not that of the component's
-//! thread that made it; else encoding a picture would hold up control loops. Nor has it that thread's processors, which are often those
-//! of the control loops, unless it says so: what is kept away from them by its own `execution.cpus` keeps its threads away, too.
+//! Invariant: a new thread has the scheduling class that programs have by default in this process, not that
+//! of the component's thread that made it; else encoding a picture would hold up control loops. Nor has it
+//! that thread's processors, which are often those of the control loops, unless it says so: what is kept away
+//! from them by its own `execution.cpus` keeps its threads away, too.
 
 use std::io;
 use std::sync::Arc;
@@ -120,7 +121,8 @@ fn builder(name: &str) -> Builder {
     Builder::new().name(name.replace('\0', ""))
 }
 
-/// Takes the calling thread out of the class it inherited. Less is always allowed; where it is not, the thread works as it is.
+/// Takes the calling thread out of the class it inherited. Less is always allowed; where it is not, the
+/// thread works as it is.
 fn be_ordinary() {
     // One that is ordinary already keeps how nice whoever started the process wants it.
     if let (Ok(ThreadSchedulePolicy::Realtime(_)), Ok(not_nice)) =
@@ -149,7 +151,8 @@ mod tests {
     use rustix::thread::CpuSet;
     use thread_priority::RealtimeThreadSchedulePolicy;
 
-    /// Scheduling class of the calling thread as the kernel numbers it, its real-time priority, and how nice it is.
+    /// Scheduling class of the calling thread as the kernel numbers it, its real-time priority, and how nice
+    /// it is.
     fn class() -> [i32; 3] {
         let stat = std::fs::read_to_string("/proc/thread-self/stat").expect("Linux");
         let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();

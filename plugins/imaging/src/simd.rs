@@ -1,13 +1,14 @@
 //! Which instructions the processor has; brightness, YUYV and mosaics of colour filters with AVX2.
 //!
-//! Invariant: an [`Avx2`] exists only where the processor has AVX2 and POPCNT; memory is read and written through
-//! references to arrays of exactly the size that is moved.
+//! Invariant: an [`Avx2`] exists only where the processor has AVX2 and POPCNT; memory is read and written
+//! through references to arrays of exactly the size that is moved.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
 use core::arch::x86_64::*;
 
-/// Proof that the processor has AVX2 and POPCNT. A plugin file is built for any x86-64 and chooses at run time.
+/// Proof that the processor has AVX2 and POPCNT. A plugin file is built for any x86-64 and chooses at run
+/// time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Avx2(());
 
@@ -46,7 +47,8 @@ fn load16(from: &[u8; 16]) -> __m128i {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn luma_avx2(rgb: &[u8], gray: &mut [u8]) -> usize {
-    // Four pixels of each half to R G R G R G R G B 0 B 0 B 0 B 0; a shuffle index with its high bit set gives 0.
+    // Four pixels of each half to R G R G R G R G B 0 B 0 B 0 B 0; a shuffle index with its high bit set
+    // gives 0.
     let z = -128i8;
     let split = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 3, 4, 6, 7, 9, 10, 2, z, 5, z, 8, z, 11, z));
     let [r, g, b] = crate::luma::WEIGHTS.map(|w| w as u8 as i8);
@@ -137,7 +139,8 @@ fn yuyv_avx2(src: &[u8], bgr: bool, dst: &mut [u8]) -> usize {
     done
 }
 
-/// Makes RGB pixels of a row of a sensor from column 2 on, sixteen at a time, as `debayer::row` does; says how many.
+/// Makes RGB pixels of a row of a sensor from column 2 on, sixteen at a time, as `debayer::row` does; says
+/// how many.
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn debayer(_: Avx2, rows: [&[u8]; 3], odd: bool, to: &mut [[u8; 3]]) -> usize {
     // SAFETY: an `Avx2` exists only where the processor has AVX2.

@@ -1,11 +1,12 @@
 //! YUYV to colours after ITU-R BT.601, video range, with 20 bits after the point, as OpenCV does.
 //!
-//! Invariant: the same bytes with and without AVX2; each level is within one of the formula in floating point.
+//! Invariant: the same bytes with and without AVX2; each level is within one of the formula in floating
+//! point.
 
 use crate::simd::{self, Avx2};
 
-/// Red, green, blue (`bgr`: blue, green, red) of a row of YUYV; `lanes` as of [`Avx2::detect`]. The shorter of the two rows decides
-/// how many pixels; of an odd number the last one takes the colour of the one before.
+/// Red, green, blue (`bgr`: blue, green, red) of a row of YUYV; `lanes` as of [`Avx2::detect`]. The shorter
+/// of the two rows decides how many pixels; of an odd number the last one takes the colour of the one before.
 pub fn row(lanes: Option<Avx2>, src: &[u8], bgr: bool, dst: &mut [u8]) {
     let pixels = (src.len() / 2).min(dst.len() / 3);
     let (src, dst) = (&src[..2 * pixels], &mut dst[..3 * pixels]);

@@ -226,7 +226,7 @@ fn address(text: &str, from_network: bool) -> Result<SocketAddr> {
         return Ok(address);
     }
     Err(format!(
-        "udp: other machines reach {address}, and whoever can send there decides what the outputs say: write 127.0.0.1:{}, or say \
+        "udp: other machines reach {address}, and any sender there decides what the outputs say: write 127.0.0.1:{}, or say \
          \"udp_from_network\": true",
         address.port()
     )

@@ -1,4 +1,5 @@
-//! How many A-scans a second one core makes of raw spectra, surface included (gate A8): prints rates and percentiles.
+//! Measures how many A-scans a second one core makes of raw spectra, surface included (gate A8): prints rates
+//! and percentiles.
 //!
 //! Invariant: lines are those of the phantom, different ones, so that no branch is learnt by heart.
 //! `cargo run --release -p trocar-oct-core --example rate`
@@ -17,8 +18,8 @@ use trocar_phantom::tissue::Echo;
 const LINES: usize = 256;
 const ROUNDS: usize = 400;
 
-/// Lines of a frame at 4 kHz, and bytes that something else works on in the millisecond between two: more than fit beside the chain
-/// into the second level of caches.
+/// Lines of a frame at 4 kHz, and bytes that something else works on in the millisecond between two: more
+/// than fit beside the chain into the second level of caches.
 const FRAME: usize = 4;
 const ELSEWHERE: usize = 16 << 20;
 const FRAMES: usize = 4000;
@@ -73,7 +74,7 @@ fn measure_cold(samples: usize) {
     for frame in lines.chunks_exact(FRAME).cycle().take(FRAMES) {
         elsewhere.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
         black_box(&mut elsewhere);
-        // What the detector has just written is near.
+        // Lines that the detector has just written are near.
         black_box(frame.iter().flatten().map(|byte| u32::from(*byte)).sum::<u32>());
         let mut whole = 0.0;
         for (n, line) in frame.iter().enumerate() {

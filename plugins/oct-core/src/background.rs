@@ -1,12 +1,13 @@
-//! What the reference arm alone gives: subtracted from each line, so that only interference is left.
+//! Signal of the reference arm alone: subtracted from each line, so that only interference is left.
 //!
-//! Invariant: no fringe of a surface gets into it. What is followed while it runs is smoothed over a sixteenth of the line
-//! three times, which takes every fringe of more than 40 periods down below 1/300; while a nearer surface is there, nothing is
-//! followed.
+//! Invariant: no fringe of a surface gets into it. The part that is followed during operation is smoothed
+//! over a sixteenth of the line three times, which takes every fringe of more than 40 periods down below
+//! 1/300. While a nearer surface is there, nothing is followed.
 
 /// Each so many lines the drift is looked at.
 const EVERY: u32 = 64;
-/// One look is four pieces of work that lie so many lines apart: done at once, it would take as long as three lines.
+/// One look is four pieces of work that lie so many lines apart: done at once, it would take as long as three
+/// lines.
 const APART: u32 = EVERY / 4;
 /// Part that one look has.
 const SHARE: f32 = 1.0 / 64.0;
@@ -14,7 +15,7 @@ const SHARE: f32 = 1.0 / 64.0;
 /// Mean spectrum of the reference arm.
 #[derive(Clone, Debug, Default)]
 pub struct Background {
-    /// What is subtracted, counts.
+    /// Values that are subtracted, counts.
     now: Vec<f32>,
     /// The mean as captured, or the first line smoothed.
     captured: Vec<f32>,
@@ -49,7 +50,7 @@ impl Background {
         }
     }
 
-    /// What is to be subtracted from the next line, counts.
+    /// Returns the values to be subtracted from the next line, counts.
     pub fn counts(&self) -> &[f32] {
         &self.now
     }
@@ -105,7 +106,8 @@ impl Background {
         done
     }
 
-    /// The next piece of a look: three means over the line that was there when it began, then what they say.
+    /// Does the next piece of a look: three means over the line that was there when it began, then their
+    /// result.
     fn look(&mut self, line: &[f32]) {
         let reach = reach(line);
         let [a, b] = &mut self.work;
@@ -126,7 +128,7 @@ impl Background {
         self.looked = (self.looked + 1) % 4;
     }
 
-    /// From now on it is what was captured; of a line with a surface in it only what is smooth.
+    /// Takes the captured line as background; of a line with a surface in it only the smooth part.
     fn begin(&mut self, smoothed: bool) {
         smooth(&self.captured, &mut self.work);
         if smoothed {
@@ -209,7 +211,7 @@ mod tests {
         }
         for i in 64..960 {
             let off = background.counts()[i] - bell(i);
-            // What smoothing does to the bell itself is slow along the line.
+            // The smoothing's effect on the bell itself is slow along the line.
             let next = background.counts()[i + 1] - bell(i + 1);
             assert!(off.abs() < 40.0 && (off - next).abs() < 1.5, "{i}: {off}, {next}");
         }

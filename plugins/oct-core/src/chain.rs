@@ -1,8 +1,8 @@
-//! From one raw line to one A-scan: subtract the background, bring to equal steps of wavenumber, window, take dispersion
-//! out, transform, and take the logarithm.
+//! From one raw line to one A-scan: subtract the background, bring to equal steps of wavenumber, window, take
+//! dispersion out, transform, and take the logarithm.
 //!
-//! Invariant: `line` allocates nothing. A line that is dark or saturated gives silence over all bins, so nobody finds a
-//! surface in it, and does not touch the background.
+//! Invariant: `line` allocates nothing. A line that is dark or saturated gives silence over all bins, so no
+//! surface is found in it, and does not touch the background.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use crate::dispersion::{Dispersion, Window, fill_filter};
 use crate::grid::{Grid, Interpolation, Tap, four};
 use crate::surface::{Rule, first_surface};
 
-/// A surface in these bins has fringes that the smoothed background does not leave out: nearer ones are not told from what the
-/// reference arm itself leaves.
+/// A surface in these bins has fringes that the smoothed background does not leave out: nearer ones are not
+/// told from what the reference arm itself leaves.
 const NEAR: std::ops::Range<usize> = 8..48;
 /// So many dB above the noise it is one.
 const NEAR_DB: f32 = 10.0;
@@ -25,7 +25,7 @@ const NEAR_DB: f32 = 10.0;
 /// Values that are multiplied side by side.
 const TOGETHER: usize = 64;
 
-/// What is said of a line before it is looked at.
+/// Levels by which the light of a line is judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Levels {
     /// Bits of a count.
@@ -42,7 +42,7 @@ impl Default for Levels {
     }
 }
 
-/// What a line's light was.
+/// Light of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Light {
     Good,
@@ -57,7 +57,8 @@ pub struct Chain {
     levels: Levels,
     taps: Vec<Tap>,
     window: Vec<f32>,
-    /// Window and dispersion in one: what a line reads lies in as few places as possible, since at 4 kHz caches are cold.
+    /// Window and dispersion in one: a line reads from as few places as possible, since at 4 kHz caches are
+    /// cold.
     filter: Vec<Complex<f32>>,
     dispersion: Dispersion,
     pub(crate) transform: Transform,
@@ -147,7 +148,8 @@ impl Chain {
         self.taps.iter().zip(&self.window).map(|(tap, window)| window * tap.of(&self.line))
     }
 
-    /// One line of counts (`u16` in the machine's byte order) to its A-scan in dB re one count squared, `samples / 2` bins.
+    /// Turns one line of counts (`u16` in the machine's byte order) into its A-scan in dB re one count
+    /// squared, `samples / 2` bins.
     ///
     /// # Errors
     /// The line or the room for the A-scan has another length; nothing is written then.

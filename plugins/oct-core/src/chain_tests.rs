@@ -239,7 +239,7 @@ fn without_a_captured_background_the_first_line_does_and_the_surface_is_the_same
     }
 }
 
-/// What interpolation leaves beside a peak stands above the noise of such a detector.
+/// Remains of interpolation beside a peak stand above the noise of such a detector.
 #[test]
 fn a_detector_with_hardly_any_noise_shows_the_surface_where_it_is() {
     let mut chain = chain();

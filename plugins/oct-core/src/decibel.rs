@@ -1,9 +1,10 @@
-//! Decibels of many powers at once, by a short series instead of a logarithm each, and bytes of many decibels.
+//! Decibels of many powers at once, by a short series instead of a logarithm each, and bytes of many
+//! decibels.
 //!
-//! Invariant: within 1e-4 dB of `10 log10` for powers from 1e-20 to 1e30; nothing is below [`SILENT_DB`]. No branch and no
-//! conversion that saturates: the compiler does several side by side.
+//! Invariant: within 1e-4 dB of `10 log10` for powers from 1e-20 to 1e30; nothing is below [`SILENT_DB`]. No
+//! branch and no conversion that saturates: the compiler does several side by side.
 
-/// What no power at all gives, dB, and what a line is filled with that says nothing.
+/// Value of no power at all, dB, with which a line that says nothing is filled.
 pub const SILENT_DB: f32 = -200.0;
 
 /// 10 log10 of a power of two.
@@ -24,10 +25,12 @@ pub fn decibel(power: f32) -> f32 {
     octave as f32 * PER_OCTAVE + PER_SERIES * series
 }
 
-/// Added to a number from 0 to 255, the sum's lowest byte is that number, to the nearest, the even one of two.
+/// A number to be added to one from 0 to 255: the sum's lowest byte is the latter, to the nearest, the even
+/// one of two.
 const BYTE_LOWEST: f32 = 8_388_608.0;
 
-/// The byte of each value, 0 for `low` dB and less, 255 for `high` dB and more; what is no number is 0. As many as both have.
+/// Writes the byte of each value, 0 for `low` dB and less, 255 for `high` dB and more; a value that is no
+/// number is 0. As many as both have.
 pub fn shades(db: &[f32], low: f32, high: f32, to: &mut [u8]) {
     let scale = 255.0 / (high - low);
     for (db, to) in db.iter().zip(to) {

@@ -1,7 +1,8 @@
 //! The complex filter that takes dispersion out of a resampled line, and the windows it is cut with.
 //!
-//! Invariant: the sign follows the direction of wavenumbers along the line: bins of positive frequency become sharp, those
-//! of negative frequency, which nobody looks at, twice as blurred. With the other sign the peak loses more than half.
+//! Invariant: the sign follows the direction of wavenumbers along the line: bins of positive frequency become
+//! sharp, those of negative frequency, which are not used, twice as blurred. With the other sign the peak
+//! loses more than half.
 
 use std::f64::consts::TAU;
 
@@ -16,7 +17,7 @@ pub struct Dispersion {
     pub a3_rad: f64,
 }
 
-/// What a line is multiplied with so that its ends do not ring.
+/// Window by which a line is multiplied so that its ends do not ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Window {
     Hann,
@@ -36,7 +37,8 @@ impl Window {
         Window::NAMES.iter().position(|n| *n == name).map(|at| all[at])
     }
 
-    /// The periodic window over `n` values (F. J. Harris, *On the use of windows for harmonic analysis with the DFT*, 1978).
+    /// Returns the periodic window over `n` values (F. J. Harris, *On the use of windows for harmonic
+    /// analysis with the DFT*, 1978).
     pub fn value(self, m: usize, n: usize) -> f64 {
         let turn = TAU * m as f64 / n as f64;
         match self {

@@ -8,7 +8,7 @@ use std::fmt;
 /// Fewest and most pixels of a line.
 pub const SAMPLES: std::ops::RangeInclusive<usize> = 64..=8192;
 
-/// How values between pixels are found.
+/// Method for values between pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
     Linear,
@@ -23,7 +23,7 @@ pub struct Grid {
     wavenumber: Vec<f64>,
 }
 
-/// Where one value of the resampled line comes from.
+/// Source of one value of the resampled line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// First of four pixels.
@@ -32,7 +32,8 @@ pub struct Tap {
 }
 
 impl Grid {
-    /// From the polynomial of a spectrometer: wavelength (m) of pixel i is `Σ wavelength_m[k] x^k`, x from −1 to 1.
+    /// Returns the grid for the polynomial of a spectrometer: wavelength (m) of pixel i is `Σ wavelength_m[k]
+    /// x^k`, x from −1 to 1.
     ///
     /// # Errors
     /// Too few or too many pixels, a wavelength that is no positive number, a polynomial that turns back.
@@ -93,7 +94,8 @@ impl Grid {
         PI / (self.samples() as f64 * self.step().abs())
     }
 
-    /// Where value `m` of the resampled line lies between the smallest (−1) and the largest (1) wavenumber.
+    /// Returns the place of value `m` of the resampled line between the smallest (−1) and the largest (1)
+    /// wavenumber.
     pub fn place(&self, m: usize) -> f64 {
         let along = 2.0 * m as f64 / (self.samples() - 1) as f64 - 1.0;
         if self.rises() { along } else { -along }
@@ -145,7 +147,8 @@ impl Tap {
     }
 }
 
-/// The values that four taps take from `line`, as [`Tap::of`]: products side by side, then the sums of all four at once.
+/// Returns the values that four taps take from `line`, as [`Tap::of`]: products side by side, then the sums
+/// of all four at once.
 #[inline]
 pub(crate) fn four(taps: &[Tap; 4], line: &[f32]) -> [f32; 4] {
     let products = taps.each_ref().map(|tap| {

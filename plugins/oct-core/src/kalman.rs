@@ -1,10 +1,12 @@
-//! Kalman filter of a surface that moves: position and velocity along the tool, driven by an unknown acceleration.
+//! Kalman filter of a surface that moves: position and velocity along the tool, driven by an unknown
+//! acceleration.
 //!
-//! Invariant: it lives on the time line of the measurements. A measurement is compared with the state at its own time, never
-//! with an extrapolated one: that diverges from 5 ms of delay on. Whoever wants to know now asks `ahead`.
+//! Invariant: it lives on the time line of the measurements. A measurement is compared with the state at its
+//! own time, never with an extrapolated one: that diverges from 5 ms of delay on. A caller that needs the
+//! state now asks `ahead`.
 //!
-//! Model: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, ch. 6.3
-//! (piecewise constant white acceleration).
+//! Model: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
+//! 2001, ch. 6.3 (piecewise constant white acceleration).
 
 /// Noise of model and measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +83,8 @@ impl Kalman {
         ];
     }
 
-    /// How far a measurement lies from the state, m, and the standard deviation that is expected of that.
+    /// Returns the distance of a measurement from the state, m, and the standard deviation that is expected
+    /// of it.
     pub fn innovation(&self, measured_m: f64, noises: &Noises) -> (f64, f64) {
         (measured_m - self.position_m, (self.covariance[0] + noises.measurement_m.powi(2)).sqrt())
     }

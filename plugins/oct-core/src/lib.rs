@@ -1,7 +1,8 @@
-//! What the OCT plugins compute, without a component: from raw spectra to A-scans, from these to the surface, and from
-//! surface and robot to what the next millisecond brings.
+//! Computations of the OCT plugins, without a component: from raw spectra to A-scans, from these to the
+//! surface, and from surface and robot to the next millisecond.
 //!
-//! Invariant: buffers are made when a thing is made or set up; what runs per line allocates nothing and takes no lock.
+//! Invariant: buffers are made when a thing is made or set up; code that runs per line allocates nothing and
+//! takes no lock.
 #![forbid(unsafe_code)]
 
 pub mod background;

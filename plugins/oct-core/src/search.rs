@@ -1,8 +1,8 @@
 //! Finds the dispersion that makes A-scans sharpest, a little work at a time.
 //!
-//! Invariant: one call of `work` transforms one line, so a step that makes few of them is never long; the search ends
-//! after a bounded number of them, and a result at the end of the range ([`WIDEST_RAD`]) is none. Sharpness is
-//! `Σ|A|⁴ / (Σ|A|²)²` per line, over the bins beyond what is left of the reference arm.
+//! Invariant: one call of `work` transforms one line, so a step that makes few of them is never long; the
+//! search ends after a bounded number of them, and a result at the end of the range ([`WIDEST_RAD`]) is none.
+//! Sharpness is `Σ|A|⁴ / (Σ|A|²)²` per line, over the bins beyond what is left of the reference arm.
 
 use trocar_fft::num_complex::Complex;
 
@@ -16,13 +16,14 @@ pub const LINES: usize = 64;
 pub const WIDEST_RAD: (f64, f64) = (60.0, 20.0);
 /// Step of the first look, rad.
 const FIRST: (f64, f64) = (2.0, 1.0);
-/// Where refining ends, rad.
+/// Step at which refining ends, rad.
 const FINEST_RAD: f64 = 0.02;
 
-/// Lines of noise have a sharpness of 2 over the number of bins; below this many times that there is nothing to see.
+/// Lines of noise have a sharpness of 2 over the number of bins; below this many times that there is nothing
+/// to see.
 const AT_LEAST: f64 = 2.0;
 
-/// What a search found.
+/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
     pub dispersion: Dispersion,
@@ -57,7 +58,7 @@ pub struct Search {
     done: usize,
     sum: f64,
     best: (Dispersion, f64),
-    /// Where the neighbours are counted from, and whether one of them was better.
+    /// Centre from which the neighbours are counted, and whether one of them was better.
     middle: Dispersion,
     moved: bool,
 }

@@ -1,8 +1,9 @@
 //! The first surface in an A-scan.
 //!
-//! Invariant: a surface is a local maximum well above the noise of this very A-scan; where there is none, there is none.
+//! Invariant: a surface is a local maximum well above the noise of this very A-scan; without such a maximum
+//! there is none.
 
-/// What counts as a surface.
+/// Conditions for a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
     /// First bin that is looked at: before it lies what the reference arm leaves.
@@ -19,8 +20,8 @@ impl Default for Rule {
     }
 }
 
-/// So far below the strongest echo lie its own skirts, dB: what interpolation between pixels leaves over tens of bins. A detector
-/// with little noise shows them.
+/// Distance from the strongest echo down to its own skirts, dB: remains of interpolation between pixels over
+/// tens of bins. A detector with little noise shows them.
 const SKIRTS_DB: f32 = 40.0;
 
 /// A surface.
@@ -34,7 +35,8 @@ pub struct Surface {
     pub noise_db: f32,
 }
 
-/// The first local maximum above the noise and the skirts of what is behind it; none in silence, in noise alone, and in fewer than 16 bins.
+/// Returns the first local maximum above the noise and the skirts of what is behind it; none in silence, in
+/// noise alone, and in fewer than 16 bins.
 pub fn first_surface(ascan: &[f32], rule: &Rule) -> Option<Surface> {
     let (mean, sigma) = noise(ascan)?;
     let from = rule.first_bin.max(1);
@@ -56,8 +58,8 @@ pub fn first_surface(ascan: &[f32], rule: &Rule) -> Option<Surface> {
     None
 }
 
-/// Mean and standard deviation of the noise, dB: those of the quietest of the three deeper quarters, which is the deepest
-/// one unless the tissue lies there. None for silence.
+/// Returns mean and standard deviation of the noise, dB: those of the quietest of the three deeper quarters,
+/// which is the deepest one unless the tissue lies there. None for silence.
 fn noise(ascan: &[f32]) -> Option<(f32, f32)> {
     let quarter = ascan.len() / 4;
     if quarter < 4 {
@@ -90,10 +92,12 @@ fn strongest(part: &[f32]) -> f32 {
     most.into_iter().fold(f32::MIN, f32::max)
 }
 
-/// Values that are folded side by side: four times four, so that an addition need not wait for the one before it.
+/// Number of values that are folded side by side: four times four, so that an addition need not wait for the
+/// one before it.
 const SIDE_BY_SIDE: usize = 16;
 
-/// Folds the values into a few, side by side. One fold at a time: of two in one loop the compiler makes neither so.
+/// Folds the values into a few, side by side. One fold at a time: with two in one loop the compiler makes
+/// neither so.
 fn fold(part: &[f32], first: f32, with: impl Fn(f32, f32) -> f32) -> [f32; SIDE_BY_SIDE] {
     let mut all = [first; SIDE_BY_SIDE];
     let (chunks, rest) = part.as_chunks::<SIDE_BY_SIDE>();

@@ -1,7 +1,8 @@
-//! How far the tip has travelled along the tool, at any time of the last moments.
+//! Travel of the tip along the tool, at any time of the last moments.
 //!
-//! Invariant: travel is summed up from pose to pose along the tool's axis of the later one, so a tool that turns about its
-//! tip travels nowhere; only differences of travel mean anything. Nothing is said of times nobody knows of.
+//! Invariant: travel is summed up from pose to pose along the tool's axis of the later one, so a tool that
+//! turns about its tip travels nowhere; only differences of travel mean anything. Times without known poses
+//! have no travel.
 
 /// Poses that are kept.
 const KEPT: usize = 64;
@@ -25,7 +26,8 @@ impl Default for Timeline {
 }
 
 impl Timeline {
-    /// Adds a value; one that is no number or not later than the last one is left out. Tells whether it was taken.
+    /// Adds a value; one that is no number or not later than the last one is left out. Tells whether it was
+    /// taken.
     pub fn push(&mut self, ns: u64, value: f64) -> bool {
         if !value.is_finite() || (self.count > 0 && ns <= self.ring[self.newest].0) {
             return false;
@@ -50,7 +52,8 @@ impl Timeline {
         self.ring[(self.newest + KEPT - n) % KEPT]
     }
 
-    /// The value at `ns`, between values interpolated; none before those that are kept and longer than 5 ms after them.
+    /// Returns the value at `ns`, interpolated between values and carried on after the last one; none before
+    /// those that are kept and more than 5 ms after them.
     pub fn at(&self, ns: u64) -> Option<f64> {
         let (last_ns, last) = self.last()?;
         if ns >= last_ns {
@@ -86,8 +89,8 @@ pub struct TipTravel {
 }
 
 impl TipTravel {
-    /// Where the tip was (m) and how the tool stood at `ns`. A pose that is not later than the last one, or is no pose, is
-    /// left out; tells whether it was taken.
+    /// Takes the tip's position (m) and the tool's orientation at `ns`. A pose that is not later than the
+    /// last one, or is no pose, is left out; tells whether it was taken.
     pub fn push(&mut self, ns: u64, position_m: [f64; 3], orientation: &[f64; 4]) -> bool {
         let Some(axis) = axis_of(orientation) else { return false };
         if position_m.iter().any(|p| !p.is_finite()) {

@@ -1,14 +1,14 @@
 //! Follows the surface from A-scan to A-scan: detection, plausibility, prediction.
 //!
-//! Invariant: a reading is valid only when this very A-scan shows a surface where one can be; a jump that no eye makes is
-//! left out until it has stayed for a while; then the surface counts as lost, and the filter begins anew. A filter that gets
-//! no measurements is forgotten, whether it was believed or not.
+//! Invariant: a reading is valid only when this very A-scan shows a surface where one can be. A jump that no
+//! eye makes is left out until it has stayed for a while; then the surface counts as lost, and the filter
+//! begins anew. A filter that gets no measurements is forgotten, whether it was believed or not.
 
 use crate::kalman::{Kalman, Noises};
 use crate::surface::{Rule, first_surface};
 use crate::tip::TipTravel;
 
-/// How the surface is followed.
+/// Settings of the tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Nothing is looked for nearer than this, m.
@@ -45,17 +45,17 @@ impl Default for Settings {
 /// Measurements after which a new filter is believed.
 const BELIEVED_AFTER: u32 = 8;
 
-/// What one A-scan says.
+/// Result of one A-scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// Of the A-scan.
+    /// Time of the A-scan.
     pub ns: u64,
     /// From the tip to the surface, filtered, m.
     pub distance_m: f64,
     /// The same as this A-scan alone has it, m; NaN where it shows no surface.
     pub measured_m: f64,
-    /// Of the surface along the tool, away from the tip positive, m/s. Where the robot is known: against its base; else
-    /// against the tip.
+    /// Velocity of the surface along the tool, away from the tip positive, m/s. If the robot is known:
+    /// against its base; else against the tip.
     pub velocity_m_s: f64,
     /// Standard deviation of the distance, m.
     pub sigma_m: f64,
@@ -66,7 +66,7 @@ pub struct Reading {
     pub change: Change,
 }
 
-/// What became of the surface.
+/// Change of the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     None,
@@ -79,7 +79,7 @@ pub enum Change {
 pub struct Tracker {
     settings: Settings,
     tip: TipTravel,
-    /// Somebody tells where the tip is; without, the tip counts as standing still.
+    /// A robot tells the tip's place; without, the tip counts as standing still.
     has_robot: bool,
     filter: Option<Kalman>,
     accepted: u32,
@@ -109,7 +109,7 @@ impl Tracker {
         }
     }
 
-    /// Other settings from the next A-scan on; what was followed stays.
+    /// Takes other settings from the next A-scan on; the followed surface stays.
     pub fn set(&mut self, settings: Settings) {
         if let Some(filter) = &mut self.filter {
             filter.other_noise(&self.settings.noises, &settings.noises);
@@ -117,7 +117,7 @@ impl Tracker {
         self.settings = settings;
     }
 
-    /// Where the tip was (m), and how the tool stood.
+    /// Takes the tip's position (m) and the tool's orientation.
     pub fn tip_at(&mut self, ns: u64, position_m: [f64; 3], orientation: &[f64; 4]) {
         self.has_robot |= self.tip.push(ns, position_m, orientation);
     }
@@ -199,7 +199,7 @@ impl Tracker {
         let since = *self.last_valid_ns.get_or_insert(ns);
         let is_old = |since: u64| ns.saturating_sub(since) as f64 * 1e-9 > self.settings.lost_after_s;
         if is_old(self.last_taken_ns) {
-            // What is known of it is too old to go on with.
+            // The filter's state is too old to go on with.
             (self.filter, self.off_since_ns, self.accepted) = (None, None, 0);
         }
         let lost = std::mem::take(&mut self.elsewhere) || is_old(since);

@@ -97,7 +97,7 @@ fn tissue_fills_the_room_between_the_layers_above_the_noise_and_below_their_peak
             peaks[0]
         );
     }
-    // What lies between the three layers is below the weakest of them.
+    // Tissue between the three layers is below the weakest of them.
     for below_m in [62e-6, 150e-6, 180e-6] {
         assert!(at(below_m) < lowest - 5.0, "{:.0} µm: {} dB of {lowest}", below_m * 1e6, at(below_m));
     }

@@ -1,7 +1,7 @@
 //! `oct_file`: plays raw spectra from a file at the rate they were taken with, again and again.
 //!
-//! Invariant: the file is read and checked when configured, never while it runs; lines are numbered and timed as a detector
-//! does it, so a reader cannot tell the difference but by the content.
+//! Invariant: the file is read and checked when configured, never while it runs; lines are numbered and timed
+//! as a detector does it, so a reader can tell the difference only by the content.
 
 use std::path::Path;
 
@@ -16,7 +16,8 @@ const SLOTS: u32 = 64;
 
 #[derive(Config)]
 pub(crate) struct OctFileConfig {
-    /// File of u16 little endian, [frames][ascans][samples], read when configured; relative to the directory the host runs in
+    /// File of u16 little endian, [frames][ascans][samples], read when configured; relative to the directory
+    /// the host runs in
     path: String,
     /// Pixels of a line
     #[config(min = 64, max = 8192, unit = "px", default = 1024)]

@@ -1,8 +1,8 @@
-//! Optical coherence tomography. `oct_source` simulates a spectrometer over the phantom, `oct_file` plays raw spectra,
-//! `oct_processor` makes A-scans of them, `surface_tracker` follows the surface in these.
+//! Optical coherence tomography. `oct_source` simulates a spectrometer over the phantom, `oct_file` plays raw
+//! spectra, `oct_processor` makes A-scans of them, `surface_tracker` follows the surface in these.
 //!
-//! Invariant: every spectrum of `oct_source` is simulated, and says so in its doc; what is computed is computed in
-//! `trocar-oct-core`, the components move data and settings.
+//! Invariant: every spectrum of `oct_source` is simulated, and its doc says so; `trocar-oct-core` does the
+//! computations, the components move data and settings.
 #![forbid(unsafe_code)]
 
 mod file;

@@ -1,4 +1,4 @@
-//! Which lines a detector has taken by now, and which of them nobody fetched in time.
+//! Lines that a detector has taken by now, and those of them that were not fetched in time.
 //!
 //! Invariant: every line has one number and one time, whether or not it was fetched.
 

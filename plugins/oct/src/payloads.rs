@@ -14,7 +14,7 @@ pub struct DispersionTerms {
     pub a3: f64,
 }
 
-/// What a search for the dispersion found.
+/// Result of a search for the dispersion.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct DispersionFound {
@@ -24,14 +24,16 @@ pub struct DispersionFound {
     pub a3: f64,
     /// Mean over the lines of the sum of |A|⁴ over the squared sum of |A|²: 1 = all light in one bin.
     pub sharpness: f64,
-    /// False: the lines showed nothing that could be sharp, or it lies at the edge, and the dispersion stays as it was.
+    /// False: the lines showed nothing that could be sharp, or it lies at the edge, and the dispersion stays
+    /// as it was.
     pub taken: Flag,
-    /// The sharpest lies at the end of what is looked at, ±60 rad for a2 and ±20 rad for a3: the true one may be beyond.
+    /// The sharpest lies at the end of what is looked at, ±60 rad for a2 and ±20 rad for a3: the true one may
+    /// be beyond.
     pub at_edge: Flag,
     pub reserved: [u8; 6],
 }
 
-/// What is black and what is white in an A-scan of bytes, dB re one count squared.
+/// Levels of black and white in an A-scan of bytes, dB re one count squared.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct RangeDb {

@@ -1,7 +1,8 @@
 //! `oct_processor`: raw spectra in, A-scans out.
 //!
-//! Invariant: one A-scan for each line, with its stamp and number; a line that is dark or saturated gives silence, and is
-//! told once when it begins and once when it is over. A search for the dispersion is spread over many steps.
+//! Invariant: one A-scan for each line, with its stamp and number; a line that is dark or saturated gives
+//! silence, and is told once when it begins and once when it is over. A search for the dispersion is spread
+//! over many steps.
 
 mod frames;
 
@@ -32,7 +33,7 @@ pub(crate) struct OctProcessorConfig {
     /// Measured wavenumber of each pixel in rad/m, instead of the polynomial
     #[config(default = [])]
     k_curve_rad_m: Vec<f64>,
-    /// How values between pixels are found
+    /// Method for values between pixels
     #[config(one_of = ["cubic", "linear"], default = "cubic")]
     interpolation: String,
     /// Window over the line
@@ -123,21 +124,21 @@ pub struct OctProcessor {
     works: Option<Works>,
 }
 
-/// What is made of the configuration.
+/// Objects that are made of the configuration.
 struct Works {
     chain: Chain,
     search: Search,
     ascan: Vec<f32>,
     capture: u32,
-    /// Of the last line.
+    /// Light of the last line.
     light: Light,
 }
 
 /// Settings of the processing.
 #[provides("processor")]
 impl OctProcessor {
-    /// Takes the mean of the next lines as background. They have to show the reference arm alone: cover the sample arm, or
-    /// look where there is nothing.
+    /// Takes the mean of the next lines as background. They have to show the reference arm alone: cover the
+    /// sample arm, or look where there is nothing.
     #[command]
     fn set_background(
         &mut self,
@@ -161,8 +162,8 @@ impl OctProcessor {
         Ok(())
     }
 
-    /// Looks for the dispersion that makes the next 64 lines sharpest, a2 within ±60 rad and a3 within ±20 rad, and takes it;
-    /// `dispersion_done` tells when and which. One at the end of that range is not taken.
+    /// Looks for the dispersion that makes the next 64 lines sharpest, a2 within ±60 rad and a3 within ±20
+    /// rad, and takes it; `dispersion_done` tells when and which. One at the end of that range is not taken.
     #[command]
     fn auto_dispersion(&mut self) -> Result<(), &'static str> {
         let Some(works) = &mut self.works else {

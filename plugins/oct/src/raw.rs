@@ -1,7 +1,7 @@
 //! Files of raw spectra: `u16` little endian, `[frames][ascans][samples]`, nothing before and nothing behind.
 //!
-//! Invariant: a file that was loaded has a whole number of frames, and no count beyond its bits; every other one is refused
-//! with its length and what it should have.
+//! Invariant: a file that was loaded has a whole number of frames, and no count beyond its bits; every other
+//! one is refused with its length and the length it should have.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Files may be this long, B, so that a wrong name cannot exhaust the machine's memory.
 pub const MAX_BYTES: u64 = 2 << 30;
 
-/// What a file is said to hold.
+/// Contents that a file should have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// Pixels of a line.
@@ -39,7 +39,7 @@ pub fn load(path: &Path, layout: Layout) -> Result<Vec<u16>, RawError> {
     }
     check(path, meta.len(), layout)?;
     let bytes = std::fs::read(path).map_err(unreadable)?;
-    // It may have grown meanwhile.
+    // The file may have grown meanwhile.
     check(path, bytes.len() as u64, layout)?;
     let counts: Vec<u16> = bytes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
     let most = ((1u32 << layout.bits.min(16)) - 1) as u16;
@@ -62,7 +62,7 @@ fn check(path: &Path, bytes: u64, layout: Layout) -> Result<(), RawError> {
 /// Why a file gave no spectra.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RawError {
-    /// What the system said.
+    /// The system's error.
     Unreadable { path: PathBuf, why: String },
     /// A directory or a device.
     NoFile { path: PathBuf },

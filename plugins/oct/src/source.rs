@@ -1,7 +1,7 @@
 //! `oct_source`: a simulated spectrometer that looks along a simulated tool at the phantom's retina.
 //!
-//! Invariant: line n is a function of configuration, world, n and where the tip was then; lines that found no frame or came
-//! too late are lost as a real detector loses them, and told.
+//! Invariant: line n is a function of configuration, world, n and the tip's place at that time; lines that
+//! found no frame or came too late are lost as a real detector loses them, and told.
 
 use nalgebra::{Point3, UnitVector3, Vector3};
 use trocar_phantom::spectra::{Optics, Spectrograph};
@@ -57,7 +57,7 @@ pub(crate) struct OctSourceConfig {
     /// Takes a frame of max_lines at each `trigger` instead of running freely
     #[config(default = false)]
     triggered: bool,
-    /// Where the tip stands while nobody tells, in the world, with the tool along +z
+    /// Place of the tip while no input tells it, in the world, with the tool along +z
     #[config(default = [0.0, 0.0, -0.0005], unit = "m")]
     tip_m: [f64; 3],
 }
@@ -95,7 +95,7 @@ pub struct OctSource {
     fire: bool,
 }
 
-/// What is made of the configuration.
+/// Objects that are made of the configuration.
 struct Device {
     world: World,
     spectrograph: Spectrograph,
@@ -103,7 +103,7 @@ struct Device {
     tip: CartesianState,
 }
 
-/// What of the configuration the device was made of.
+/// Part of the configuration that the device was made of.
 type Built = (String, u64, u32, u32, [f64; 2]);
 
 /// The detector.
@@ -115,7 +115,7 @@ impl OctSource {
         s.geometry
     }
 
-    /// Takes one frame now; only where the configuration asks for triggers.
+    /// Takes one frame now; only if the configuration asks for triggers.
     #[command]
     fn trigger(&mut self) -> Result<(), &'static str> {
         if !self.cfg.triggered {
@@ -126,10 +126,11 @@ impl OctSource {
     }
 }
 
-/// What is so in the simulated world, for comparison: no controller may see it.
+/// True values of the simulated world, for comparison: no controller may see them.
 #[provides("truth", tag = "truth")]
 impl OctSource {
-    /// The distance from the tip to the first surface at the last line; not valid when the tool points past the retina.
+    /// The distance from the tip to the first surface at the last line; not valid when the tool points past
+    /// the retina.
     #[read]
     fn distance(s: &OctSourceState) -> Distance {
         s.truth
@@ -280,7 +281,7 @@ impl Device {
         }
     }
 
-    /// What the tool points at `off_s` after `stamp`, if at anything.
+    /// Returns the surface that the tool points at `off_s` after `stamp`, if there is one.
     fn below(&self, stamp: Stamp, off_s: f64) -> Option<Below> {
         let (tip, axis) = self.tip_at(stamp, off_s)?;
         self.world.below(&tip, &axis, stamp.ns() as f64 * 1e-9 + off_s)

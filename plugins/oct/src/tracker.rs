@@ -1,6 +1,7 @@
 //! `surface_tracker`: A-scans in, distance from the tip to the retina out.
 //!
-//! Invariant: one distance for each A-scan, with its stamp; valid only when this A-scan shows the surface where it can be.
+//! Invariant: one distance for each A-scan, with its stamp; valid only when this A-scan shows the surface
+//! where it can be.
 
 use trocar_oct_core::kalman::Noises;
 use trocar_oct_core::tracker::{Change, Reading, Settings, Tracker};
@@ -11,8 +12,8 @@ use trocar_sdk::prelude::*;
 const BURST: usize = 32;
 /// Longest A-scan, bins.
 const LONGEST: usize = 8192;
-/// How far a time may lie ahead of the step that takes it, s: what clocks of machines and their grids are apart. One from further
-/// ahead would make all that follow it too late for the time line.
+/// Most that a time may lie ahead of the step that takes it, s: clocks of machines and their grids differ by
+/// so much. A time from further ahead would make all that follow it too late for the time line.
 const AHEAD_S: f64 = 0.02;
 
 #[derive(Config)]
@@ -43,14 +44,16 @@ pub(crate) struct SurfaceTrackerConfig {
     lost_after_s: f64,
 }
 
-/// Finds the first surface in each A-scan and follows it with a Kalman filter, on the time line of the A-scans.
+/// Finds the first surface in each A-scan and follows it with a Kalman filter, on the time line of the
+/// A-scans.
 #[derive(Component)]
 #[component(name = "surface_tracker", model = "stream")]
 pub struct SurfaceTracker {
     /// A-scans, f32, dB
     #[input(fifo = 32)]
     ascan: In<Frame<AScanHeader>>,
-    /// Where the tip is by the encoders: without it, the tip counts as standing still and the surface's velocity is not known
+    /// Pose of the tip by the encoders: without it, the tip counts as standing still and the surface's
+    /// velocity is not known
     #[input(optional, fifo = 32)]
     robot: In<ArmState>,
     /// One distance for each A-scan
@@ -170,7 +173,8 @@ impl Component for SurfaceTracker {
     }
 }
 
-/// A reading as the outside knows it. Without a filter there is no distance: 0 and not valid, with a sigma that says so.
+/// Returns a reading in its published form. Without a filter there is no distance: 0 and not valid, with a
+/// sigma that says so.
 fn payload(reading: &Reading, has_robot: bool) -> Distance {
     let known = reading.distance_m.is_finite();
     Distance {

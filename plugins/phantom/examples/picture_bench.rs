@@ -1,4 +1,5 @@
-//! Times a pair of pictures of the eye, 1024 × 768 each: the bare eye, a copy of it, and tool and shadow drawn over it.
+//! Times a pair of pictures of the eye, 1024 × 768 each: the bare eye, a copy of it, and tool and shadow
+//! drawn over it.
 //!
 //! Invariant: one thread, one scene per round. `picture_bench [ROUNDS]`
 

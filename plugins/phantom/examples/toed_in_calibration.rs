@@ -1,7 +1,8 @@
 //! Prints the calibration of the toed-in cameras, as `rectify` and `stereo_depth` read it:
 //! `cargo run -p trocar-phantom --example toed_in_calibration > tests/data/calibration/phantom-toed-in.json`.
 //!
-//! Invariant: nothing is fitted: it is what the rig is made of, and rectified images are those of `Rig::rectified`.
+//! Invariant: nothing is fitted: it is what the rig is made of, and rectified images are those of
+//! `Rig::rectified`.
 
 use nalgebra::Matrix3;
 use trocar_phantom::camera::{BASELINE_M, Camera, Rig};

@@ -1,8 +1,9 @@
 //! The retina as one camera sees it at rest: colour and depth of each pixel, and how both move with the eye.
 //!
-//! Invariant: computed once, pixel by pixel, from the same surface and texture that every other device uses. An eye that
-//! moves by some 100 µm at 200 mm moves its image by less than a pixel, and by nearly the same at neighbouring pixels: so the picture
-//! at rest is shifted and zoomed (`Warp`), which is exact to 0.02 px for the motions of the worlds, instead of being traced again.
+//! Invariant: computed once, pixel by pixel, from the same surface and texture that every other device uses.
+//! An eye that moves by some 100 µm at 200 mm moves its image by less than a pixel, and by nearly the same at
+//! neighbouring pixels: so the picture at rest is shifted and zoomed (`Warp`), which is exact to 0.02 px for
+//! the motions of the worlds, instead of being traced again.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -25,8 +26,8 @@ const ROUNDS: usize = 6;
 
 /// Random numbers of the texture's finest detail.
 const DETAIL_STREAM: u64 = 0x6465_7461;
-/// Sides of the squares of the finest detail, m, and how much brighter or darker they are: what a photograph with 9 µm
-/// pixels leaves out.
+/// Sides of the squares of the finest detail, m, and how much brighter or darker they are: what a photograph
+/// with 9 µm pixels leaves out.
 const DETAIL: [(f64, f32); 2] = [(28e-6, 0.07), (14e-6, 0.05)];
 
 /// Red, green and blue of the photograph in the light of the pipe: warmer than that of the camera it was
@@ -138,8 +139,8 @@ impl Band {
                 self.rays.push([rx as f32, ry as f32]);
             }
             let way = of.turn * Vector3::new(rx, ry, 1.0);
-            // The retina is flat beside the rays, so each round leaves less than a twentieth of the height; it goes on as it came,
-            // so mostly one is enough.
+            // The retina is flat beside the rays, so each round leaves less than a twentieth of the height;
+            // it goes on as it came, so mostly one is enough.
             (far, before) = (2.0 * far - before, far);
             for _ in 0..ROUNDS {
                 let at = eye + way * far;

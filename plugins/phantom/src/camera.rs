@@ -1,7 +1,7 @@
 //! Cameras above the eye: pinholes with a lens, and the two of a stereo microscope.
 //!
-//! Invariant: `project` and `ray` are each other's inverse to 1e-6 px; pixel (0, 0) is the middle of the upper left pixel, x
-//! goes right, y down, z away from the camera.
+//! Invariant: `project` and `ray` are each other's inverse to 1e-6 px; pixel (0, 0) is the middle of the
+//! upper left pixel, x goes right, y down, z away from the camera.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -28,8 +28,8 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// A lens whose corners lie 1 to 2 % beside those of a pinhole, with a little decentring, for the field of the
-    /// microscope.
+    /// A lens whose corners lie 1 to 2 % beside those of a pinhole, with a little decentring, for the field
+    /// of the microscope.
     pub const MICROSCOPE: Lens = Lens { k1: -14.0, k2: 900.0, p1: 0.012, p2: -0.008 };
 
     /// Where the ray through (x, y) of the plane z = 1 leaves the lens.
@@ -75,7 +75,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// The pixel on which `point` (m, world) falls, and its distance along the axis, m; `None` behind the camera.
+    /// The pixel on which `point` (m, world) falls, and its distance along the axis, m; `None` behind the
+    /// camera.
     pub fn project(&self, point: &Point3<f64>) -> Option<([f64; 2], f64)> {
         let p = self.world_from_camera.inverse_transform_point(point);
         if p.z <= 1e-6 {
@@ -111,9 +112,9 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// Parallel cameras without lens errors, whose sensors are shifted to look at the same place, as rectification
-    /// would make them of [`Rig::toed_in`]. Disparity (left minus right column) is
-    /// `focal · baseline / depth + centre_left − centre_right`: 24 px of 1024 at the apex, more above it.
+    /// Parallel cameras without lens errors, whose sensors are shifted to look at the same place, as
+    /// rectification would make them of [`Rig::toed_in`]. Disparity (left minus right column) is `focal ·
+    /// baseline / depth + centre_left − centre_right`: 24 px of 1024 at the apex, more above it.
     pub fn rectified(width: usize, height: usize) -> Rig {
         let shift = (APEX_DISPARITY * width as f64 - focal(width) * BASELINE_M / WORKING_DISTANCE_M) / 2.0;
         let camera = |side: f64| Camera {

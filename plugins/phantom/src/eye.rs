@@ -1,7 +1,7 @@
 //! The shape of the eye: a globe with a foveal pit and raised vessels, seen from inside.
 //!
-//! Invariant: z points down into the eye, the nominal apex of the retina is the origin, and the shape does not move:
-//! motion is added by `World`.
+//! Invariant: z points down into the eye, the nominal apex of the retina is the origin, and the shape does
+//! not move: motion is added by `World`.
 
 use crate::retina::Retina;
 

@@ -1,7 +1,8 @@
 //! What the eye does to a tool: the retina at its tip, and the sclera where it enters.
 //!
-//! Invariant: pure in world, pose, velocity and time; positive is what the eye does to the tool, in the axes of the world.
-//! Stick and slip of peeling depends on the place alone, so it needs no memory of the way there.
+//! Invariant: pure in world, pose, velocity and time; positive is what the eye does to the tool, in the axes
+//! of the world. Stick and slip of peeling depends on the place alone, so it needs no memory of the way
+//! there.
 
 use nalgebra::{Point3, UnitVector3, Vector3};
 
@@ -13,8 +14,8 @@ pub const RETINA_N_M: f64 = 150.0;
 /// Stiffness of the sclera against a shaft that is pulled aside at its entry, N/m (20 mN/mm).
 pub const SCLERA_N_M: f64 = 20.0;
 
-/// Where the tool enters the eye while the eye does not move, m: on the globe, opposite of the retina's apex, so that the
-/// tool of a robot at home stands in it without force.
+/// Where the tool enters the eye while the eye does not move, m: on the globe, opposite of the retina's apex,
+/// so that the tool of a robot at home stands in it without force.
 pub const ENTRY_M: [f64; 3] = [0.0, 0.0, -24e-3];
 
 /// A membrane lets go at these forces, N, one for each tooth.
@@ -30,9 +31,9 @@ const SLOW_M_S: f64 = 20e-6;
 const THINNEST_M: f64 = 1e-6;
 
 impl World {
-    /// Force at the tip, N: along the tool `RETINA_N_M` times the depth below the ILM; against a motion to the side the
-    /// pull of a membrane that the tip is in, which grows to 7 to 20 mN and slips, again and again. `velocity` is the
-    /// tip's, m/s.
+    /// Force at the tip, N: along the tool `RETINA_N_M` times the depth below the ILM; against a motion to
+    /// the side the pull of a membrane that the tip is in, which grows to 7 to 20 mN and slips, again and
+    /// again. `velocity` is the tip's, m/s.
     pub fn tip_force(
         &self,
         tip: &Point3<f64>,
@@ -65,7 +66,8 @@ impl World {
         towards * (-peak * (teeth - tooth) * speed / (speed + SLOW_M_S))
     }
 
-    /// Force of the sclera on the shaft, N: towards the entry, which moves with the eye. None before the tip is inside.
+    /// Force of the sclera on the shaft, N: towards the entry, which moves with the eye. None before the tip
+    /// is inside.
     pub fn sclera_force(&self, tip: &Point3<f64>, axis: &UnitVector3<f64>, t_s: f64) -> Vector3<f64> {
         let to_entry = Point3::from(ENTRY_M) + self.motion.shift(t_s) - tip;
         let along = to_entry.dot(axis);

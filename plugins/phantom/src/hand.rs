@@ -1,7 +1,8 @@
 //! The surgeon's hand: what it means to do, its tremor, and what a force sensor at the handle makes of both.
 //!
-//! Invariant: every function is one of seed and time alone. Forces and displacements are in the axes of the world. A free
-//! hand trembles by [`TREMOR_RMS_M`]; on a handle the same tremor is a force through the hand's stiffness.
+//! Invariant: every function is one of seed and time alone. Forces and displacements are in the axes of the
+//! world. A free hand trembles by [`TREMOR_RMS_M`]; on a handle the same tremor is a force through the hand's
+//! stiffness.
 
 use nalgebra::Vector3;
 
@@ -15,10 +16,12 @@ pub const TREMOR_RMS_M: f64 = 182e-6;
 /// Middle of the tremor's band, Hz.
 pub const TREMOR_HZ: f64 = 10.0;
 
-/// Damping ratio of the resonator that shapes the tremor: half the power lies within 2ζ of its middle, 8.5 to 11.5 Hz.
+/// Damping ratio of the resonator that shapes the tremor: half the power lies within 2ζ of its middle, 8.5 to
+/// 11.5 Hz.
 const DAMPING: f64 = 0.15;
 
-/// Ends of the spectrum that is kept, Hz; beyond them the resonator has less than a third of its peak's power.
+/// Ends of the spectrum that is kept, Hz; beyond them the resonator has less than a third of its peak's
+/// power.
 const BAND_HZ: [f64; 2] = [7.0, 13.0];
 
 /// Sinusoids per axis; a quarter of a Hz apart they repeat only after minutes.
@@ -27,7 +30,8 @@ const TONES: usize = 24;
 /// Stiffness with which a hand holds a handle, N/m (2 N/mm).
 pub const STIFFNESS_N_M: f64 = 2_000.0;
 
-/// Part of a push along the axis of the eye against the parts across it: nobody means to push into the retina.
+/// Part of a push along the axis of the eye against the parts across it: nobody means to push into the
+/// retina.
 const ALONG: f64 = 0.2;
 
 /// A hand and the sensor it pushes on.
@@ -41,8 +45,9 @@ pub struct Hand {
     pub sensor: ForceErrors,
 }
 
-/// Movements to and fro, each a push in the shape of a minimum-jerk velocity (Flash and Hogan, *The coordination of arm
-/// movements*, 1985): on a robot that turns force into velocity the tip makes a minimum-jerk movement.
+/// Movements to and fro, each a push in the shape of a minimum-jerk velocity (Flash and Hogan, *The
+/// coordination of arm movements*, 1985): on a robot that turns force into velocity the tip makes a
+/// minimum-jerk movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intent {
     /// Largest peak of a push, N; the smallest is half of it.
@@ -69,7 +74,8 @@ mod parts {
 }
 
 impl Hand {
-    /// The hand of the world `seed`: pushes up to 1.5 N each 2 s, a sensor of 10 mN RMS that drifts 5 mN/min at most.
+    /// The hand of the world `seed`: pushes up to 1.5 N each 2 s, a sensor of 10 mN RMS that drifts 5 mN/min
+    /// at most.
     pub fn new(seed: u64) -> Hand {
         let noise = Noise::new(seed, streams::HAND);
         let tremor =
@@ -136,8 +142,8 @@ impl Tone {
     }
 }
 
-/// Tones of equal power whose frequencies lie as densely as the resonator's spectrum is high: one in each of as many
-/// parts of equal power, at a random place of it.
+/// Tones of equal power whose frequencies lie as densely as the resonator's spectrum is high: one in each of
+/// as many parts of equal power, at a random place of it.
 fn tones(places: Noise, phases: Noise) -> [Tone; TONES] {
     const BINS: u32 = 2_000;
     let width_hz = (BAND_HZ[1] - BAND_HZ[0]) / f64::from(BINS);

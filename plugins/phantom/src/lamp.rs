@@ -1,6 +1,7 @@
 //! The light in the eye.
 //!
-//! Invariant: light on a surface is a function of its place and direction alone; nothing casts shadows here (`shadow` does).
+//! Invariant: light on a surface is a function of its place and direction alone; nothing casts shadows here
+//! (`shadow` does).
 
 use nalgebra::{Point3, Vector3};
 
@@ -33,8 +34,8 @@ impl Default for Lamp {
 }
 
 impl Lamp {
-    /// The lamp's own part of the light on a surface with this outward normal: Lambert's cosine, fading with the square of the
-    /// distance and beside the spot; about 1 at the apex.
+    /// The lamp's own part of the light on a surface with this outward normal: Lambert's cosine, fading with
+    /// the square of the distance and beside the spot; about 1 at the apex.
     pub fn light(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
         let (to_lamp, to_apex) = (self.at - at, self.at - Point3::origin());
         let (way2, apex2) = (to_lamp.norm_squared(), to_apex.norm_squared());

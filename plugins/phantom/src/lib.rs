@@ -1,8 +1,8 @@
 //! The simulated eye that all simulated devices share: shape, tissue, motion, picture.
 //!
-//! Invariant: every function is pure in seed, time, pose and number, so each plugin may hold a copy of its own and all
-//! see one world. Units are SI, z points down into the eye, the nominal apex of the retina is the origin. All of it is
-//! simulation: no figure taken here is a result of hardware.
+//! Invariant: every function is pure in seed, time, pose and number, so each plugin may hold a copy of its
+//! own and all see one world. Units are SI, z points down into the eye, the nominal apex of the retina is the
+//! origin. All of it is simulation: no figure taken here is a result of hardware.
 #![forbid(unsafe_code)]
 
 mod backdrop;

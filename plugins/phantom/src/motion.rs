@@ -4,7 +4,8 @@
 
 use nalgebra::Vector3;
 
-/// Motion of the eye. Amplitudes are plausible defaults, larger than those of a patient who fixates; none is published.
+/// Motion of the eye. Amplitudes are plausible defaults, larger than those of a patient who fixates; none is
+/// published.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Along the axis, with the heart.
@@ -15,8 +16,8 @@ pub struct Motion {
     pub step: Option<Step>,
     /// To the side.
     pub saccade: Option<Saccade>,
-    /// Step and saccade are undone after half of this time and begin again after all of it, before their `at_s`, too, s; none:
-    /// they happen once.
+    /// Step and saccade are undone after half of this time and begin again after all of it, before their
+    /// `at_s`, too, s; none: they happen once.
     pub again_s: Option<f64>,
 }
 

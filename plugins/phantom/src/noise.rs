@@ -1,7 +1,8 @@
-//! Random numbers by number: the value of a place in a stream is a function of seed, stream and place, not of what was
-//! drawn before.
+//! Random numbers by number: the value of a place in a stream is a function of seed, stream and place, not of
+//! what was drawn before.
 //!
-//! Invariant: no state. Two plugins that ask for the same place see the same value, in whatever order they ask.
+//! Invariant: no state. Two plugins that ask for the same place see the same value, in whatever order they
+//! ask.
 
 /// A stream of random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,8 +26,8 @@ impl Noise {
         (self.bits(place) >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
-    /// Standard normal at `place`: mean 0, variance 1 (Box and Muller, *A Note on the Generation of Random Normal
-    /// Deviates*, 1958).
+    /// Standard normal at `place`: mean 0, variance 1 (Box and Muller, *A Note on the Generation of Random
+    /// Normal Deviates*, 1958).
     pub fn normal(self, place: u64) -> f64 {
         let bits = self.bits(place);
         // Never 0, whose logarithm is infinite.
@@ -35,8 +36,8 @@ impl Noise {
         (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
     }
 
-    /// Nearly standard normal at `place`, in a tenth of the time: the sum of eight random bytes. Mean 0, variance 1, never
-    /// beyond ±4.9, kurtosis 2.85 instead of 3. For the noise of pixels.
+    /// Nearly standard normal at `place`, in a tenth of the time: the sum of eight random bytes. Mean 0,
+    /// variance 1, never beyond ±4.9, kurtosis 2.85 instead of 3. For the noise of pixels.
     pub fn quick_normal(self, place: u64) -> f32 {
         let bits = self.bits(place);
         let pairs = (bits & 0x00ff_00ff_00ff_00ff) + ((bits >> 8) & 0x00ff_00ff_00ff_00ff);

@@ -1,9 +1,10 @@
-//! Pictures of the eye as a stereo microscope takes them: retina, tool, its shadow, sensor noise; and the disparity that a
-//! perfect matcher would find in them.
+//! Pictures of the eye as a stereo microscope takes them: retina, tool, its shadow, sensor noise; and the
+//! disparity that a perfect matcher would find in them.
 //!
-//! Invariant: a picture is a function of world, rig and scene alone. What stands still is traced once, in `new`; a frame
-//! shifts and zooms that (`backdrop`) and traces only the pixels where tool or shadow may be. Nothing is allocated after `new`.
-//! The membrane is clear and is not drawn; disparity is that of tool and ILM.
+//! Invariant: a picture is a function of world, rig and scene alone. What stands still is traced once, in
+//! `new`; a frame shifts and zooms that (`backdrop`) and traces only the pixels where tool or shadow may be.
+//! Nothing is allocated after `new`. The membrane is clear and is not drawn; disparity is that of tool and
+//! ILM.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -101,8 +102,8 @@ impl Renderer {
         }
     }
 
-    /// As [`Renderer::draw`], where the same scene without its tool was drawn before: `bare` holds its rows, one behind the
-    /// other. Only what tool and shadow touch is drawn; the result is the same.
+    /// As [`Renderer::draw`], where the same scene without its tool was drawn before: `bare` holds its rows,
+    /// one behind the other. Only what tool and shadow touch is drawn; the result is the same.
     ///
     /// # Panics
     /// `bare` is smaller than a picture.

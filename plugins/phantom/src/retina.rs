@@ -1,6 +1,7 @@
 //! What the retina looks like from inside, and where its vessels stand out: a photograph laid on the globe.
 //!
-//! Invariant: decoded once per process; every lookup beyond the picture gives its nearest pixel, so no place is undefined.
+//! Invariant: decoded once per process; every lookup beyond the picture gives its nearest pixel, so no place
+//! is undefined.
 
 use std::sync::OnceLock;
 
@@ -66,7 +67,8 @@ impl Retina {
         self.side
     }
 
-    /// Red, green, blue (0 to 255) at `u`, `v` m along the retina from its middle, between pixels interpolated.
+    /// Red, green, blue (0 to 255) at `u`, `v` m along the retina from its middle, between pixels
+    /// interpolated.
     pub fn colour_at(&self, u: f64, v: f64) -> [f32; 3] {
         let (corners, weights) = self.corners(u, v);
         let mut sum = [0.0; 3];

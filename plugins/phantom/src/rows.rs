@@ -104,7 +104,8 @@ impl Work {
         self.shadow.mark(camera, cast);
     }
 
-    /// Some columns of row `y` of the retina: four pixels at rest mixed into one, first along y, then along x.
+    /// Some columns of row `y` of the retina: four pixels at rest mixed into one, first along y, then along
+    /// x.
     pub(crate) fn retina(&mut self, eye: &Backdrop, warp: &Warp, y: usize, columns: Range<usize>) {
         let (row, part) = warp.row(y);
         let below = (part * f64::from(PARTS)).round() as i16;

@@ -1,7 +1,7 @@
 //! Errors of a simulated force sensor: noise of each sample and a bias that wanders.
 //!
-//! Invariant: a function of the stream of random numbers and time alone; the bias stays bounded on a clock that runs for
-//! days.
+//! Invariant: a function of the stream of random numbers and time alone; the bias stays bounded on a clock
+//! that runs for days.
 
 use nalgebra::Vector3;
 

@@ -1,7 +1,8 @@
 //! How much light the tool's shadow takes from each pixel of a picture.
 //!
-//! Invariant: reckoned at the corners of small squares and mixed between them, since the edge of a shadow is many pixels soft; the
-//! corners' places are the same whatever part of a picture is drawn. Nothing is allocated after `new`.
+//! Invariant: reckoned at the corners of small squares and mixed between them, since the edge of a shadow is
+//! many pixels soft; the corners' places are the same whatever part of a picture is drawn. Nothing is
+//! allocated after `new`.
 
 use crate::scenery::Scenery;
 use crate::shadow;
@@ -38,8 +39,8 @@ impl Shade {
         self.squares = None;
     }
 
-    /// Takes the light from `columns` of row `y`: three values of `row` each. `spans` say where the picture has shadow, `at_rest` which
-    /// column of the picture at rest is nearest to each column's place.
+    /// Takes the light from `columns` of row `y`: three values of `row` each. `spans` say where the picture
+    /// has shadow, `at_rest` which column of the picture at rest is nearest to each column's place.
     pub(crate) fn darken(
         &mut self,
         scenery: &Scenery<'_>,

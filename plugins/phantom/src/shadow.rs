@@ -1,4 +1,5 @@
-//! The shadow that a tool in front of the lamp casts on the retina: where it may lie, and how dark a place is.
+//! The shadow that a tool in front of the lamp casts on the retina: where it may lie, and how dark a place
+//! is.
 //!
 //! Invariant: a place is in the shadow when the way from it to the lamp passes the tool's core within its
 //! radius there. The edge is as soft as the lamp's end looks large beside the tool: sharp where the tool
@@ -14,8 +15,8 @@ const FARTHEST_M: f64 = 9e-3;
 /// Half the softness of every edge, m: tissue scatters light.
 const SCATTERED_M: f64 = 25e-6;
 
-/// Middle and half width (m) of the shadow of `count` points along the tool's core, from its tip on, as far as they lie
-/// before the lamp: on the surface `z(x, y)`.
+/// Middle and half width (m) of the shadow of `count` points along the tool's core, from its tip on, as far
+/// as they lie before the lamp: on the surface `z(x, y)`.
 pub(crate) fn of<'a>(
     tool: &'a Tool,
     lamp: &'a Lamp,

@@ -1,14 +1,16 @@
-//! Spectra of a simulated spectral-domain OCT: what a spectrometer counts when light from the tip meets the retina.
+//! Spectra of a simulated spectral-domain OCT: what a spectrometer counts when light from the tip meets the
+//! retina.
 //!
-//! Invariant: a line is a function of optics, echoes, time and the line's number; which lines were made before does not
-//! matter. `line` and `exact_line` share formula and noise and differ by rounding only. After construction nothing here
-//! allocates but `exact_line`.
+//! Invariant: a line is a function of optics, echoes, time and the line's number; which lines were made
+//! before does not matter. `line` and `exact_line` share formula and noise and differ by rounding only. After
+//! construction nothing here allocates but `exact_line`.
 //!
-//! `I(λ) = S(λ) · | 1 + Σ a κ(d) r(z) exp(j (2 k z + φ(k))) |²`, k = 2π/λ, z = n d the optical path to an echo of amplitude
-//! a. `S` is Gaussian; `κ(d) = 1 / (1 + (d / 0.9 mm)²)` is what the lens of the tip couples back;
-//! `r(z) = sinc(π/2 · ρ · z / z_max)` the roll-off of pixels of finite width, with `z_max = N λ0² / (4 Δλ)`, the depth whose
-//! fringes have two pixels; `φ = a2 x² + a3 x³` over x from −1 (smallest k) to 1 what glass and water leave of dispersion.
-//! Scatterers of the tissue have the coupling and the roll-off of what they hang on.
+//! `I(λ) = S(λ) · | 1 + Σ a κ(d) r(z) exp(j (2 k z + φ(k))) |²`, k = 2π/λ, z = n d the optical path to an
+//! echo of amplitude a. `S` is Gaussian; `κ(d) = 1 / (1 + (d / 0.9 mm)²)` is what the lens of the tip couples
+//! back; `r(z) = sinc(π/2 · ρ · z / z_max)` the roll-off of pixels of finite width, with `z_max = N λ0² / (4
+//! Δλ)`, the depth whose fringes have two pixels; `φ = a2 x² + a3 x³` over x from −1 (smallest k) to 1 what
+//! glass and water leave of dispersion. Scatterers of the tissue have the coupling and the roll-off of what
+//! they hang on.
 
 use std::f64::consts::{FRAC_PI_2, LN_2, TAU};
 
@@ -47,7 +49,8 @@ pub struct Optics {
     pub full_well_e: f64,
     /// Noise of reading a pixel, electrons.
     pub read_noise_e: f64,
-    /// Part of the full well that the reference arm fills at the brightest pixel. Above 1 the detector is saturated.
+    /// Part of the full well that the reference arm fills at the brightest pixel. Above 1 the detector is
+    /// saturated.
     pub reference: f64,
     /// Amplitude of the light from an echo of amplitude 1 beside that of the reference arm. The signal.
     pub gain: f64,
@@ -56,8 +59,9 @@ pub struct Optics {
 }
 
 impl Optics {
-    /// Sample arm: the ILM gives back a thousandth of the reference's light. Chosen so that it stands 46 dB above the noise
-    /// at 500 µm, and that with a fifth of the amplitude some 3 % of the lines show no surface or a deeper one.
+    /// Sample arm: the ILM gives back a thousandth of the reference's light. Chosen so that it stands 46 dB
+    /// above the noise at 500 µm, and that with a fifth of the amplitude some 3 % of the lines show no
+    /// surface or a deeper one.
     pub const GAIN: f64 = 0.032;
 
     /// 790 to 890 nm, linear in wavelength, 12 bit, with `samples` pixels.
@@ -83,7 +87,8 @@ impl Optics {
         self.centre_m + self.span_m * (pixel as f64 / last - 0.5)
     }
 
-    /// Optical path whose fringes have two pixels each, m: `N λ0² / (4 Δλ)`. What lies deeper is seen folded back.
+    /// Optical path whose fringes have two pixels each, m: `N λ0² / (4 Δλ)`. What lies deeper is seen folded
+    /// back.
     pub fn z_max_m(&self) -> f64 {
         self.samples as f64 * self.centre_m * self.centre_m / (4.0 * self.span_m)
     }
@@ -197,8 +202,9 @@ impl Spectrograph {
         (self.optics.light, self.optics.gain, self.optics.reference) = (light, gain, reference);
     }
 
-    /// Line `index` of the detector, taken at `t_s`, into `out` (as many as there are pixels, or the rest is left alone).
-    /// Several echoes of one surface, each with its part of the amplitude, blur it as a motion during the exposure does.
+    /// Line `index` of the detector, taken at `t_s`, into `out` (as many as there are pixels, or the rest is
+    /// left alone). Several echoes of one surface, each with its part of the amplitude, blur it as a motion
+    /// during the exposure does.
     pub fn line(&mut self, echoes: &[Echo], t_s: f64, index: u64, out: &mut [u16]) {
         self.field.iter_mut().for_each(|part| part.fill(0.0));
         for echo in echoes {

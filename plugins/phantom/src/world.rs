@@ -1,7 +1,7 @@
 //! The world as a whole: what is how far below a tip, at a time.
 //!
-//! Invariant: plain data and pure functions of it. Two plugins with equal worlds see the same eye, each with a copy of its
-//! own; time is the host's monotonic clock in s.
+//! Invariant: plain data and pure functions of it. Two plugins with equal worlds see the same eye, each with
+//! a copy of its own; time is the host's monotonic clock in s.
 
 use nalgebra::{Point3, UnitVector3, Vector3};
 
@@ -60,8 +60,9 @@ pub struct Below {
 }
 
 impl World {
-    /// Worlds by name: `default` moves and has a membrane; `no_membrane`; `static` does not move; `static_no_membrane`; `saccade`
-    /// and `step` are `default` whose eye jumps besides, every 8 s there and half of that later back.
+    /// Worlds by name: `default` moves and has a membrane; `no_membrane`; `static` does not move;
+    /// `static_no_membrane`; `saccade` and `step` are `default` whose eye jumps besides, every 8 s there and
+    /// half of that later back.
     pub const NAMES: [&str; 6] =
         ["default", "no_membrane", "static", "static_no_membrane", "saccade", "step"];
 
@@ -105,8 +106,8 @@ impl World {
         self.eye.surface_z(x, y) - self.membrane.height(x, y) + shift.z
     }
 
-    /// What a tool with its tip at `tip` (m) sees along `axis` at `t_s`; `None` when it points past the retina. A tip
-    /// below a surface has a negative distance.
+    /// What a tool with its tip at `tip` (m) sees along `axis` at `t_s`; `None` when it points past the
+    /// retina. A tip below a surface has a negative distance.
     pub fn below(&self, tip: &Point3<f64>, axis: &UnitVector3<f64>, t_s: f64) -> Option<Below> {
         let shift = self.motion.shift(t_s);
         let start = tip - shift;
@@ -151,8 +152,8 @@ impl World {
     }
 }
 
-/// Way from `start` along `axis` to the surface `z(x, y)`, m. Each round goes on by the height that is left: surfaces are
-/// much flatter than the tool is steep, so a few rounds reach a picometre.
+/// Way from `start` along `axis` to the surface `z(x, y)`, m. Each round goes on by the height that is left:
+/// surfaces are much flatter than the tool is steep, so a few rounds reach a picometre.
 fn meet(start: &Point3<f64>, axis: &UnitVector3<f64>, z: impl Fn(f64, f64) -> f64) -> Option<f64> {
     if axis.z < 0.1 {
         return None;

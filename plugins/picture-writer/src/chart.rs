@@ -1,7 +1,7 @@
 //! Curves over time as a picture: axes with ticks and labels, a grid, a legend.
 //!
-//! Invariant: any numbers give a picture: without points the axes are empty, points that are not finite are gaps, and what
-//! lies beyond a given range is drawn at its edge.
+//! Invariant: any numbers give a picture: without points the axes are empty, points that are not finite are
+//! gaps, and what lies beyond a given range is drawn at its edge.
 
 use std::ops::Range;
 

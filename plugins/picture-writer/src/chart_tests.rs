@@ -59,7 +59,8 @@ fn there_are_letters_beside_both_axes_a_title_and_a_legend() {
             .filter(|(x, y)| pixel(picture, *x, *y)[0] < 100)
             .count()
     };
-    // Left of the numbers of the vertical axis stands its label, below the horizontal one are numbers and theirs.
+    // Left of the numbers of the vertical axis stands its label, below the horizontal one are numbers and
+    // theirs.
     assert!(ink(&full, 0..32, 0..400) > 100 && ink(&bare, 0..32, 0..400) == 0);
     assert!(ink(&full, 100..640, 0..36) > 100);
     assert!(ink(&full, 100..640, 345..370) > 100 && ink(&full, 300..450, 370..400) > 30);

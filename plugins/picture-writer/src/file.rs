@@ -1,6 +1,7 @@
 //! A PNG file that was not there before, and why one is not written.
 //!
-//! Invariant: nothing that exists is ever written over, and a file that could not be written whole does not stay.
+//! Invariant: nothing that exists is ever written over, and a file that could not be written whole does not
+//! stay.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, ErrorKind, Write};
@@ -12,7 +13,8 @@ use trocar_sdk::prelude::*;
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct SaveRequest {
-    /// A new file whose name ends with .png, in a directory that exists; seen from where the host was started.
+    /// A new file whose name ends with .png, in a directory that exists; seen from where the host was
+    /// started.
     pub path: Text<1024>,
 }
 

@@ -1,6 +1,8 @@
-//! `picture-writer`: what a system shows, as PNG files: the newest frame of a video, and plots of numbers over time.
+//! `picture-writer`: what a system shows, as PNG files: the newest frame of a video, and plots of numbers
+//! over time.
 //!
-//! Invariant: the step copies nothing and opens nothing; pictures are made and files written by a thread for that one file.
+//! Invariant: the step copies nothing and opens nothing; pictures are made and files written by a thread for
+//! that one file.
 #![forbid(unsafe_code)]
 
 mod canvas;

@@ -18,10 +18,12 @@ const INPUTS: [&str; 4] = ["a", "b", "c", "d"];
 
 #[derive(Config)]
 struct PlotConfig {
-    /// Where the number is in what comes to `a`, `b`, `c`, `d`, as `position/2`; "" or nothing where the samples are numbers
+    /// Where the number is in what comes to `a`, `b`, `c`, `d`, as `position/2`; "" or nothing where the
+    /// samples are numbers
     #[config(default = [])]
     fields: Vec<String>,
-    /// Where a flag is beside it that is false while the number means nothing: a gap; "" or nothing where there is none
+    /// Where a flag is beside it that is false while the number means nothing: a gap; "" or nothing where
+    /// there is none
     #[config(default = [])]
     valid: Vec<String>,
     /// What is taken from the numbers of `a`, `b`, `c`, `d` first; 0 where nothing is said
@@ -59,7 +61,8 @@ struct PlotConfig {
     height: u32,
 }
 
-/// Draws curves of what comes in to a PNG file when asked to. The time axis begins with the first point that is drawn.
+/// Draws curves of what comes in to a PNG file when asked to. The time axis begins with the first point that
+/// is drawn.
 #[derive(Component)]
 #[component(model = "on_signal", provides("ctl"), max_step_ms = 10_000)]
 pub struct Plot {
@@ -75,7 +78,8 @@ pub struct Plot {
     /// As `a`
     #[input(optional, fifo = 256)]
     d: AnyIn,
-    /// What comes to an input has not the number, or not the flag, that is configured for it: what to set. Once per connection.
+    /// What comes to an input has not the number, or not the flag, that is configured for it: what to set.
+    /// Once per connection.
     #[event("ctl")]
     unplaced: Event<Text<160>>,
     /// Points taken since Start.

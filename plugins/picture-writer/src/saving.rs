@@ -1,7 +1,7 @@
 //! The thread that makes one picture and writes it, while the component waits for a bounded time.
 //!
-//! Invariant: one picture at a time; a thread that is still at work is told at the next asking and waited for when its owner
-//! is dropped, so that none outlives the plugin's code.
+//! Invariant: one picture at a time; a thread that is still at work is told at the next asking and waited for
+//! when its owner is dropped, so that none outlives the plugin's code.
 
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread::JoinHandle;
@@ -25,7 +25,8 @@ impl Saving {
     /// Runs `make` in a thread of that name, and gives what it says.
     ///
     /// # Errors
-    /// What `make` says; or an earlier one is still at work, this one does not come to an end, or there is no thread.
+    /// What `make` says; or an earlier one is still at work, this one does not come to an end, or there is no
+    /// thread.
     pub(crate) fn run(
         &mut self,
         name: &str,

@@ -1,6 +1,7 @@
 //! What is remembered of a number over time, and which of it a picture needs.
 //!
-//! Invariant: room is made once, the oldest gives way; thinned points keep every peak that a pixel column holds.
+//! Invariant: room is made once, the oldest gives way; thinned points keep every peak that a pixel column
+//! holds.
 
 /// A number at a time; one that is not finite is a gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,8 +55,8 @@ impl Trace {
     }
 }
 
-/// Of the points in each of `columns` equal spans of time the first, the lowest, the highest and the last, in their order;
-/// all of them where they are few. Gaps stay.
+/// Of the points in each of `columns` equal spans of time the first, the lowest, the highest and the last, in
+/// their order; all of them where they are few. Gaps stay.
 pub(crate) fn thinned(points: &[(f64, f64)], columns: usize) -> Vec<(f64, f64)> {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
     let span = last.0 - first.0;

@@ -1,5 +1,6 @@
-//! Throughput of a recorder's writer beside the crate `mcap` alone, a JSON object for each length of a message: `cargo run --release
-//! -p trocar-recorder --example throughput -- DIRECTORY`. Ends as libtest does, since `tests/run recorder_times` counts by that.
+//! Throughput of a recorder's writer beside the crate `mcap` alone, a JSON object for each length of a
+//! message: `cargo run --release -p trocar-recorder --example throughput -- DIRECTORY`. Ends as libtest does,
+//! since `tests/run recorder_times` counts by that.
 //!
 //! Invariant: both take turns on one machine in one run, and the least time of each counts.
 
@@ -9,7 +10,7 @@ use std::process::ExitCode;
 use trocar_recorder::bench::{bare, ours};
 
 const TURNS: u32 = 5;
-/// Of what the crate alone writes in the same time, so much at least.
+/// Least rate, as a share of what the crate alone writes in the same time.
 const RATIO: f64 = 0.9;
 
 fn main() -> std::io::Result<ExitCode> {

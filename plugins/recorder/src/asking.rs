@@ -1,6 +1,8 @@
-//! Asks the GCM for the graph, and as soon as it has answered again: an answer that knows the last one comes with the next change.
+//! Asks the GCM for the graph, and as soon as it has answered again: an answer that knows the last one comes
+//! with the next change.
 //!
-//! Invariant: a run of the recorder asks one question at a time, ten in a second at most; one that is lost is asked again.
+//! Invariant: a run of the recorder asks one question at a time, ten in a second at most; one that is lost is
+//! asked again.
 
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -9,7 +11,7 @@ use std::time::{Duration, Instant};
 use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::json;
 
-/// From one question to the next at least, and where it was refused.
+/// Least time from one question to the next, and after a refused one.
 const SOON: Duration = Duration::from_millis(100);
 const REFUSED: Duration = Duration::from_secs(1);
 /// An answer that waits for a change comes without one in half of that.
@@ -23,7 +25,7 @@ const NOT_TOLD: u8 = 2;
 #[derive(Default)]
 pub(crate) struct Asking {
     stands: AtomicU8,
-    /// Of the last answer.
+    /// Tag of the last answer.
     etag: Mutex<String>,
     /// The classes there are were told.
     classes: AtomicBool,
@@ -54,7 +56,7 @@ impl Asking {
         *asked = Some(Instant::now());
         // Before the question: its answer may be there before this thread goes on.
         self.stands.store(ASKED, Ordering::Release);
-        // What classes there are is long, and asked for at once when it is.
+        // The list of classes is long: it is asked for without a tag, so that the answer comes at once.
         let classes = !self.classes.swap(true, Ordering::Relaxed);
         let etag = self.etag.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let etag = if classes { String::new() } else { etag };

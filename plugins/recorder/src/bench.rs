@@ -1,6 +1,7 @@
 //! Throughput of the way from a step to a file, beside the crate `mcap` alone; for `examples/throughput.rs`.
 //!
-//! Invariant: both sides write the same messages to the same directory, and what is timed ends when the file is closed.
+//! Invariant: both sides write the same messages to the same directory, and what is timed ends when the file
+//! is closed.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};

@@ -1,8 +1,8 @@
-//! What goes from the step to the writer: many messages in one piece of memory that comes back to be filled again. Large frames are
-//! not copied into it: they are held until the writer has written them.
+//! Blocks on their way from the step to the writer: many messages in one piece of memory that comes back to
+//! be filled again. Large frames are not copied into it: they are held until the writer has written them.
 //!
-//! Invariant: bytes on their way are counted and bounded, those of frames that are held by their number; what does not fit is refused
-//! to the step, which counts it.
+//! Invariant: bytes on their way are counted and bounded, those of held frames by the number of frames. A
+//! message that does not fit is refused to the step, which counts it.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ pub(crate) const LARGE: usize = 128 << 10;
 /// Blocks that wait to be filled again, at most; more are given back to the system.
 const SPARE: usize = 32;
 
-/// What is still to be done with a message's bytes.
+/// Work that is still to be done with a message's bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Kind {
     /// Written as they are.
@@ -42,16 +42,16 @@ pub(crate) struct Head {
     pub(crate) publish_ns: u64,
     at: usize,
     len: usize,
-    /// What of which held frame follows.
+    /// Part of a held frame that follows: which frame, and where.
     rest: Option<(usize, usize, usize)>,
     pub(crate) kind: Kind,
 }
 
-/// A frame that nobody fills anew until its messages were written.
+/// A frame that is not filled anew until its messages were written.
 #[derive(Debug)]
 pub(crate) struct HeldPart {
     frame: Frame,
-    /// Counted by whoever holds it.
+    /// Its strong count is the number of holders.
     _one: Arc<()>,
 }
 
@@ -112,7 +112,7 @@ impl Block {
         })
     }
 
-    /// Of the last message, ns.
+    /// Returns the time of the last message, ns.
     pub(crate) fn newest_ns(&self) -> u64 {
         self.heads.last().map_or(0, |head| head.log_ns)
     }
@@ -204,8 +204,8 @@ impl Way {
         waiting.saturating_add(bytes as u64) <= self.limit
     }
 
-    /// Whether `bytes` of a frame fit. The last quarter is for what is small: no frame that waits for a slow disk costs a row, an event
-    /// or a marker.
+    /// Tells whether `bytes` of a frame fit. The last quarter is for small messages: no frame that waits for
+    /// a slow disk costs a row, an event or a marker.
     pub(crate) fn has_room_for_frame(&self, bytes: usize) -> bool {
         self.has_room(bytes.saturating_add((self.limit / 4) as usize))
     }
@@ -223,7 +223,7 @@ impl Way {
         &mut self.block
     }
 
-    /// Hands over what is there.
+    /// Hands over the open block.
     pub(crate) fn send(&mut self) {
         if self.block.is_empty() {
             return;
@@ -256,7 +256,7 @@ impl Returns {
 
     /// Gives a block back to be filled again.
     pub(crate) fn give(&mut self, mut block: Block) {
-        // What a burst has made more of is given back to the system.
+        // Blocks beyond these, which a burst added, are given back to the system.
         if self.spare.load(Ordering::Relaxed) < SPARE {
             self.spare.fetch_add(1, Ordering::Relaxed);
             block.clear();

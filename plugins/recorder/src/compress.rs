@@ -58,7 +58,7 @@ pub(crate) fn encode(codec: Codec, kind: Kind, stamp_ns: u64, pixels: &[u8], to:
     }
 }
 
-/// The rows without gaps, red and blue in each other's place where that is asked for.
+/// Returns the rows without gaps, with red and blue exchanged if asked for.
 fn rows(pixels: &[u8], row: usize, stride: usize, height: usize, swap: bool) -> Option<Vec<u8>> {
     if row == 0
         || stride < row

@@ -1,7 +1,8 @@
-//! What makes a recording explain itself: the graph as it is and each change of it, configurations, plugins.
+//! Everything that makes a recording explain itself: the graph as it is and each change of it,
+//! configurations, plugins.
 //!
-//! Invariant: what is told in the file is what the GCM said, word by word; a graph that did not change is not told again, and one in
-//! which only a state or a health did is another one.
+//! Invariant: the file holds what the GCM said, word by word. A graph that did not change is not told again;
+//! one in which only a state or a health changed counts as changed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +12,7 @@ use crate::block::{Kind, Way};
 use crate::orders::Order;
 use crate::topic::Link;
 
-/// How long the first answer is waited for, ns: without a GCM a recording begins all the same.
+/// Longest wait for the first answer, ns: without a GCM a recording begins all the same.
 const PATIENCE_NS: u64 = 5_000_000_000;
 
 /// The graph as it was last told.
@@ -25,24 +26,24 @@ pub(crate) struct Explaining {
     revision: Option<(u64, u64)>,
     /// Names of classes, and what their plugins are.
     classes: BTreeSet<String>,
-    /// Path, class and incarnation of the process of what was there when classes were told last: what is made later may be of
-    /// another plugin file.
+    /// Path, class and incarnation of the process of each component that was there when classes were told
+    /// last: one that is made later may be of another plugin file.
     made: BTreeSet<(String, String, u64)>,
     /// The files that each plugin was of, in whichever process.
     plugins: BTreeMap<String, BTreeSet<String>>,
     /// The whole answer, for recordings that begin later.
     last: Json,
-    /// Of components, as they were last told.
+    /// Configurations of components, as they were last told.
     configs: BTreeMap<String, Json>,
     /// `last` as text, while it waits for room to be told; empty = it was told.
     waits: String,
 }
 
-/// An input, and what it is connected to.
+/// An input and its source.
 pub(crate) struct Connected {
     pub(crate) input: String,
     pub(crate) server: String,
-    /// None where no data can come by it.
+    /// None if no data can come by it.
     pub(crate) link: Option<Link>,
 }
 
@@ -78,14 +79,14 @@ impl Explaining {
         self.revision.is_none_or(|known| known <= revision(graph))
     }
 
-    /// Inputs of `who`, and what is connected to each.
+    /// Returns the inputs of `who` with their sources.
     pub(crate) fn connected(graph: &Json, who: &str) -> Vec<Connected> {
         let (term, _) = revision(graph);
         elements(graph, "connections")
             .filter_map(|connection| {
                 let input = text(connection, "client").strip_prefix(who)?.strip_prefix('/')?;
-                // Without halves it stays in the process, and goes with it. A process that is not heard for a while may send all the
-                // same: whether data come, its own end here knows.
+                // A connection without halves stays in the process, and goes with it. A process that is not
+                // heard for a while may still send: whether data come, its own end here knows.
                 let own = |half: &&Json| text(half, "end") == "CONNECTION_END_CLIENT";
                 let link = match elements(connection, "proxies").find(own) {
                     None => Some(0),
@@ -108,12 +109,13 @@ impl Explaining {
         })
     }
 
-    /// Whether an answer told of all the classes its processes have, and of the files that its components were made from.
+    /// Tells whether an answer told of all the classes its processes have, and of the files that its
+    /// components were made from.
     pub(crate) fn knows_classes(&mut self, graph: &Json) -> bool {
         let all = |key: &str| elements(graph, key);
         let names = all("processes").flat_map(|process| elements(process, "classes"));
         let names: BTreeSet<&str> = names.filter_map(Json::as_str).collect();
-        // Those of a process that is gone are still what made the samples it sent.
+        // Classes of a process that is gone still made the samples it sent.
         let epochs: BTreeMap<&str, u64> =
             all("processes").map(|p| (text(p, "name"), number(p, "epoch"))).collect();
         let made: BTreeSet<(String, String, u64)> = all("components")
@@ -149,12 +151,13 @@ impl Explaining {
             let all = self.plugins.iter().map(files).collect();
             way.order(Order::Metadata("trocar.plugins".into(), all));
         }
-        // What classes could be is no part of what is: a recording is told their plugins. Nor is by what the answer is known.
+        // The list of possible classes is no part of the graph: a recording is told their plugins. The etag,
+        // by which the answer is known, is none either.
         if let Some(told) = graph.as_object_mut() {
             told.remove("classes");
             told.remove("etag");
         }
-        // What was accepted and changed nothing is no change of it.
+        // An answer without a change in these parts is no change of the graph.
         if ["processes", "components", "connections"].iter().all(|part| self.last[part] == graph[part]) {
             return;
         }
@@ -163,7 +166,8 @@ impl Explaining {
         self.tell_what_waits(now_ns, way);
     }
 
-    /// Tells the graph and the configurations that changed as soon as there is room for them; of several that waited the last one.
+    /// Tells the graph and the configurations that changed as soon as there is room for them; of several that
+    /// waited, the last one.
     pub(crate) fn tell_what_waits(&mut self, now_ns: u64, way: &mut Way) {
         if !self.waits.is_empty() && (way.has_room(self.waits.len()) || way.is_clear()) {
             self.tell_now(now_ns, way);
@@ -172,7 +176,7 @@ impl Explaining {
 
     fn tell_now(&mut self, now_ns: u64, way: &mut Way) {
         tell(self.graph, &std::mem::take(&mut self.waits), now_ns, way);
-        // Of components that are gone there is nothing to tell in recordings to come.
+        // Components that are gone have nothing to tell in later recordings.
         let there = elements(&self.last, "components").map(|c| text(c, "path"));
         let there: BTreeSet<&str> = there.collect();
         self.configs.retain(|path, _| there.contains(path.as_str()));
@@ -185,7 +189,7 @@ impl Explaining {
         }
     }
 
-    /// A recording begins: what is known stands in it as a record of its own.
+    /// Begins a recording: the known graph stands in it as a record of its own.
     pub(crate) fn begin(&mut self, now_ns: u64, way: &mut Way) {
         let graph = BTreeMap::from([
             ("json".to_owned(), self.last.to_string()),
@@ -213,7 +217,8 @@ fn tell(channel: u32, text: &str, now_ns: u64, way: &mut Way) {
 mod tests {
     use super::*;
 
-    /// A graph in which `host/rec/a` is connected to `there/sine/value` by a link of this number, none where it is near.
+    /// A graph in which `host/rec/a` is connected to `there/sine/value` by a link of this number; without a
+    /// number both are in one process.
     fn graph(host: &str, there: &str, link: Option<u64>) -> Json {
         let half = |end: &str, process: &str| json!({ "end": end, "process": process, "epoch": link.map(|n| n.to_string()) });
         let halves = [half("CONNECTION_END_CLIENT", "host"), half("CONNECTION_END_SERVER", "there")];

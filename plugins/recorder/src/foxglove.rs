@@ -1,7 +1,7 @@
 //! Samples as messages of Foxglove's schemas, where one fits, so that viewers know what they see.
 //!
-//! Invariant: names and field numbers are those of the published schemas; a sample that does not hold what its header says
-//! gives no message, never a wrong one.
+//! Invariant: names and field numbers are those of the published schemas; a sample that does not hold what
+//! its header says gives no message, never a wrong one.
 
 use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -20,7 +20,7 @@ pub(crate) struct Schema {
     pub(crate) descriptors: Vec<u8>,
 }
 
-/// What is made of a sample.
+/// Message that a sample becomes.
 pub(crate) enum Shown {
     Image(ImagePlaces),
     /// And the frame it is in, empty where its output names none.
@@ -34,7 +34,7 @@ pub(crate) struct ImagePlaces {
     height: Place,
     stride: Place,
     format: Place,
-    /// Where the right image of a pair begins.
+    /// Begin of the right image of a pair.
     right: Option<Place>,
 }
 
@@ -43,7 +43,8 @@ pub(crate) struct PosePlaces {
     orientation: [Place; 4],
 }
 
-/// A pose, and the bytes at which the names of two frames begin: of the one it is told in, and of the one it places.
+/// A pose, and the bytes at which the names of two frames begin: of the one it is told in, and of the one it
+/// places.
 pub(crate) struct TransformPlaces {
     pose: PosePlaces,
     names: [usize; 2],
@@ -66,12 +67,12 @@ pub(crate) struct Image<'a> {
     /// As Foxglove calls it.
     pub(crate) encoding: &'static str,
     pub(crate) bytes: &'a [u8],
-    /// Where in the frame they begin.
+    /// Place in the frame at which they begin.
     pub(crate) at: usize,
 }
 
 impl Shown {
-    /// How samples of this type, with coordinates in this frame, are shown; none where no schema fits.
+    /// Returns the schema for samples of this type, with coordinates in this frame; none if no schema fits.
     pub(crate) fn of(ty: &AnyType, struct_name: &str, frame_id: &str) -> Option<Shown> {
         let place = |path: &str| ty.place(path);
         match (ty.format(), struct_name) {
@@ -98,13 +99,14 @@ impl Shown {
         }
     }
 
-    /// How many images are in each sample, 1 for everything else.
+    /// Returns the number of images in each sample, 1 for everything else.
     pub(crate) fn images(&self) -> usize {
         if matches!(self, Shown::Image(ImagePlaces { right: Some(_), .. })) { 2 } else { 1 }
     }
 }
 
-/// The frame in which a described struct has its coordinates: the first that one of its fields names, empty without.
+/// Returns the frame in which a described struct has its coordinates: the first that one of its fields names,
+/// empty without.
 pub(crate) fn frame_id(description: &str, struct_name: &str) -> String {
     let described: Json = trocar_sdk::serde_json::from_str(description).unwrap_or_default();
     let types = described["types"].as_array().into_iter().flatten();
@@ -128,7 +130,7 @@ fn joint_places(ty: &AnyType) -> Option<JointPlaces> {
     })
 }
 
-/// Foxglove's word for a pixel format of ours; none where it has none.
+/// Returns Foxglove's name for a pixel format of ours; none if it has none.
 fn encoding(format: u32) -> Option<(&'static str, usize)> {
     Some(match format {
         1 => ("mono8", 1),
@@ -179,7 +181,8 @@ impl ImagePlaces {
 }
 
 impl Image<'_> {
-    /// As a `foxglove.RawImage` that the image's own bytes have to follow: rows stay as far apart as they are.
+    /// Encodes a `foxglove.RawImage` that the image's own bytes have to follow: rows stay as far apart as
+    /// they are.
     pub(crate) fn encode(&self, stamp_ns: u64, to: &mut Vec<u8>) {
         wire::timestamp(to, 1, stamp_ns);
         wire::fixed32(to, 2, self.width);
@@ -198,7 +201,7 @@ pub(crate) fn compressed(stamp_ns: u64, format: &str, data: &[u8], to: &mut Vec<
 }
 
 impl PosePlaces {
-    /// Of the pose below this path.
+    /// Returns the places of the pose below this path.
     fn of(ty: &AnyType, path: &str) -> Option<PosePlaces> {
         let place = |name: &str, n: usize| ty.place(&format!("{path}{name}/{n}"));
         let position = [0, 1, 2].map(|n| place("position", n));
@@ -374,7 +377,7 @@ pub(crate) fn compressed_image() -> Schema {
     schema("foxglove.CompressedImage", vec![message("CompressedImage", fields)])
 }
 
-/// What poses are made of.
+/// Descriptors of the parts of a pose.
 fn vector_and_quaternion() -> [DescriptorProto; 2] {
     let numbers = |names: &[&str]| {
         names.iter().enumerate().map(|(n, name)| field(name, n as i32 + 1, Type::Double, "")).collect()

@@ -1,4 +1,4 @@
-//! What viewers read: each message against its own descriptors.
+//! Messages as viewers read them: each against its own descriptors.
 
 use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 use trocar_sdk::serde_json::json;

@@ -1,6 +1,7 @@
-//! `recorder`: whatever components send, as MCAP files that explain themselves.
+//! `recorder`: all that components send, as MCAP files that explain themselves.
 //!
-//! Invariant: nobody who is recorded waits for a recorder; what a recording does not hold is counted in it.
+//! Invariant: no recorded component waits for a recorder; a recording counts the samples that it does not
+//! hold.
 #![forbid(unsafe_code)]
 
 mod asking;

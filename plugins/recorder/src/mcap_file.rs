@@ -1,8 +1,9 @@
-//! An MCAP file as it is written: small messages together in chunks, each large one a chunk of its own around bytes that are not
-//! copied for it. The crate's own writer copies each message twice.
+//! An MCAP file as it is written: small messages together in chunks, each large one a chunk of its own around
+//! bytes that are not copied for it. The crate's own writer copies each message twice.
 //!
-//! Invariant: whatever is in the file is whole records, but for the last one; what they say of each other's places is so. Chunks carry
-//! their checksum, but for those around a frame that is held: its bytes are never read here.
+//! Invariant: the file consists of whole records, except for the last one; the places of other records that
+//! they name are right. Chunks carry their checksum, except for those around a frame that is held: its bytes
+//! are never read here.
 
 use std::collections::BTreeMap;
 use std::io::{self, Cursor};
@@ -17,16 +18,17 @@ use mcap::records::{
 use crate::block::LARGE;
 use crate::sink::Sink;
 
-/// Of a record: its opcode and its length.
+/// Length of a record's opcode and length field.
 const RECORD_HEAD: u64 = 9;
-/// Of a message's record, behind its head and before its bytes.
+/// Length of a message's record behind its head and before its bytes.
 const MESSAGE_HEAD: u64 = 22;
-/// Of a chunk: its record up to its messages, and its index in the summary without what it has for each channel.
+/// Length of a chunk: its record up to its messages, and its index in the summary without its part for each
+/// channel.
 const CHUNK_HEAD: u64 = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
 const CHUNK_INDEX: u64 = RECORD_HEAD + 4 * 8 + 4 + 8 + 4 + 2 * 8;
-/// Of an index of messages, up to those.
+/// Length of an index of messages, up to those.
 const INDEX_HEAD: u64 = RECORD_HEAD + 2 + 4;
-/// What a chunk's index and the statistics have for each channel.
+/// Length that a chunk's index and the statistics take for each channel.
 const PER_CHANNEL: u64 = 2 + 8;
 
 /// Whether a message is a chunk of its own: one of its parts is large.
@@ -47,7 +49,7 @@ pub(crate) struct McapFile {
     counts: BTreeMap<u16, u64>,
     /// Log times of all messages.
     times: Option<(u64, u64)>,
-    /// What the summary takes so far, bytes.
+    /// Length of the summary so far, bytes.
     summary: u64,
 }
 
@@ -97,7 +99,7 @@ fn string(to: &mut Vec<u8>, text: &str) {
     to.extend_from_slice(text.as_bytes());
 }
 
-/// Of a chunk that is not compressed and holds so many bytes, up to those.
+/// Writes the head of a chunk that is not compressed and holds so many bytes.
 fn chunk_head(to: &mut Vec<u8>, (first, last): (u64, u64), crc: u32, len: u64) {
     to.push(op::CHUNK);
     to.extend((CHUNK_HEAD - RECORD_HEAD + len).to_le_bytes());
@@ -109,7 +111,7 @@ fn chunk_head(to: &mut Vec<u8>, (first, last): (u64, u64), crc: u32, len: u64) {
     to.extend(len.to_le_bytes());
 }
 
-/// Of a message with so many bytes, up to those.
+/// Writes the head of a message with so many bytes.
 fn message_head(to: &mut Vec<u8>, header: &MessageHeader, len: usize) {
     to.push(op::MESSAGE);
     to.extend((MESSAGE_HEAD + len as u64).to_le_bytes());
@@ -144,12 +146,13 @@ impl McapFile {
         self.sink.len() + self.pending()
     }
 
-    /// What waits to become a chunk, bytes.
+    /// Length of what waits to become a chunk, bytes.
     pub(crate) fn pending(&self) -> u64 {
         self.chunk.bytes.len() as u64
     }
 
-    /// What comes behind that if the file ends now, but for the end's own metadata and what is as long in every file.
+    /// Length of what follows if the file ends now, except for the end's own metadata and what is equally
+    /// long in every file.
     pub(crate) fn end_len(&self) -> u64 {
         let entries: usize = self.chunk.entries.values().map(Vec::len).sum();
         let channels = self.chunk.entries.len() as u64;
@@ -198,7 +201,7 @@ impl McapFile {
             metadata: metadata.clone(),
         };
         self.put(op::CHANNEL, |to| content(to, &channel))?;
-        // It is counted in the statistics, too.
+        // The channel is counted in the statistics, too.
         self.summary += self.scratch.len() as u64 + PER_CHANNEL;
         let id = channel.id;
         self.channels.push(channel);
@@ -251,7 +254,7 @@ impl McapFile {
         }
         chunk_head(&mut head, times, sum.finalize(), chunk_len);
         head.append(&mut message);
-        // Of what lies in a frame nothing is copied.
+        // Bytes that lie in a frame are not copied.
         let placed = if rest.len() >= LARGE {
             head.extend_from_slice(begin);
             self.sink.place(&head, rest)
@@ -264,7 +267,7 @@ impl McapFile {
         self.index(placed?, times, chunk_len, &entries)
     }
 
-    /// What waits goes into the file.
+    /// Writes what waits into the file as a chunk.
     pub(crate) fn close_chunk(&mut self) -> io::Result<()> {
         let Some(times) = self.chunk.times.take() else { return Ok(()) };
         let mut chunk = std::mem::take(&mut self.chunk);
@@ -317,13 +320,14 @@ impl McapFile {
         Ok(())
     }
 
-    /// What waits goes on its way; with `urgent` all of it is in the file. Whether it is.
+    /// Sends on what waits; with `urgent` all of it is in the file afterwards. Returns whether all of it is
+    /// in the file.
     pub(crate) fn flush(&mut self, urgent: bool) -> io::Result<bool> {
         self.close_chunk()?;
         self.sink.flush(urgent)
     }
 
-    /// The end of the file: what is in it, and where.
+    /// Writes the end of the file: its index and statistics.
     pub(crate) fn finish(&mut self) -> io::Result<()> {
         self.close_chunk()?;
         self.put(op::DATA_END, |to| content(to, &DataEnd { data_section_crc: 0 }))?;

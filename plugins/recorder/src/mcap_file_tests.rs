@@ -13,12 +13,12 @@ type Given = (u16, u32, u64, Vec<u8>);
 fn message(block: &[u8], n: u32, len: usize) -> ([&[u8]; 2], Vec<u8>) {
     let at = n as usize * 37 % 5000;
     let bytes = &block[at..at + len];
-    // Of the large ones every second lies in a frame, behind some bytes before it.
+    // Every second large message lies in a frame, behind some bytes before it.
     let parts = if len >= LARGE && n.is_multiple_of(2) { [&block[..20], bytes] } else { [bytes, &[][..]] };
     (parts, parts.concat())
 }
 
-/// Writes so many messages on three channels: the file and what was given.
+/// Writes so many messages on three channels; returns the file and the messages.
 fn written(direct: bool) -> Option<(Vec<u8>, Vec<Given>)> {
     let dir = tempfile::tempdir().expect("a directory");
     let path = dir.path().join("a.mcap");

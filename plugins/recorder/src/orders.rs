@@ -1,6 +1,7 @@
-//! What the step asks of the writer, and what it is told.
+//! Orders from the step to the writer, and the writer's answers.
 //!
-//! Invariant: orders and blocks come by one way, so the writer sees them in the order in which they were given.
+//! Invariant: orders and blocks come by one way, so the writer sees them in the order in which they were
+//! given.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,7 +12,7 @@ use std::sync::atomic::AtomicU64;
 use crate::block::Block;
 use crate::topic::Topic;
 
-/// What is asked.
+/// An order to the writer.
 pub(crate) enum Order {
     Channel(Box<Channel>),
     /// The topic of a channel, while no file has it.
@@ -20,12 +21,12 @@ pub(crate) enum Order {
     Open(Box<Opening>),
     /// A metadata record, in the file that is open and in each that is opened later.
     Metadata(String, BTreeMap<String, String>),
-    /// What is missing so far, for the end of the file.
+    /// Everything that is missing so far, for the end of the file.
     Missing(Missing, OnItsWay),
     Close(String),
 }
 
-/// Counted by whoever holds it: as long as there are two, one is on its way.
+/// Counts its holders: as long as there are two, an order is on its way.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OnItsWay(Arc<()>);
 
@@ -38,9 +39,9 @@ impl OnItsWay {
 /// Topics of which something is missing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Missing {
-    /// How many samples were lost.
+    /// Number of lost samples by topic.
     pub(crate) lost: Vec<(String, u64)>,
-    /// How often what they are connected to went away.
+    /// Number of times the sources of a topic went away.
     pub(crate) interrupted: Vec<(String, u64)>,
     /// Connected, and nothing has come of it since the recording began.
     pub(crate) silent: Vec<String>,
@@ -75,25 +76,25 @@ pub(crate) struct Opening {
     pub(crate) file: File,
     pub(crate) path: PathBuf,
     pub(crate) codec: Codec,
-    /// How much of what is held from before belongs to it, ns.
+    /// Time since which held messages belong to it, ns.
     pub(crate) since_ns: u64,
     pub(crate) written: Arc<Written>,
 }
 
-/// How much of a recording is in its file, as the writer tells it.
+/// Part of a recording that is in its file, as the writer tells it.
 #[derive(Default)]
 pub(crate) struct Written {
     pub(crate) messages: AtomicU64,
     pub(crate) bytes: AtomicU64,
 }
 
-/// How pixels are kept.
+/// Encoding of pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Codec {
     #[default]
     Raw,
     Qoi,
-    /// Of this quality, 1 to 100.
+    /// JPEG of this quality, 1 to 100.
     Jpeg(u8),
 }
 
@@ -104,10 +105,10 @@ pub(crate) struct Ended {
     pub(crate) path: PathBuf,
     pub(crate) messages: u64,
     pub(crate) bytes: u64,
-    /// What should be in it and is not, those among them that could not be compressed.
+    /// Samples that should be in it and are not, including those that could not be compressed.
     pub(crate) lost: u64,
-    /// How often what was recorded went away.
+    /// Number of times recorded sources went away.
     pub(crate) interrupted: u64,
-    /// It has its index and its end.
+    /// The file has its index and its end.
     pub(crate) whole: bool,
 }

@@ -1,6 +1,7 @@
-//! Where a recording may lie, and why not there.
+//! The place of a recording, and the reasons why it cannot lie there.
 //!
-//! Invariant: a file is made only inside of the directory that was configured, and never where there is something already.
+//! Invariant: a file is made only inside of the directory that was configured, and never where there is
+//! something already.
 
 use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
@@ -48,7 +49,8 @@ pub(crate) fn make(directory: &str, name: &str) -> Result<(File, PathBuf), Strin
     let path = parent.join(file_name);
     match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
         Ok(file) => {
-            // Whoever looks at it sees that it is being written; not every place knows locks, and none needs one.
+            // The lock shows others that the file is being written; not every place knows locks, and none
+            // needs one.
             let _ = file.try_lock();
             Ok((file, path))
         }

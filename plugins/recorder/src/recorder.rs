@@ -1,7 +1,7 @@
-//! The component `recorder`: takes what comes by its inputs, and hands it to the thread that writes.
+//! The component `recorder`: takes the samples of its inputs, and hands them to the thread that writes.
 //!
-//! Invariant: what is recorded pays one push into its queue, behind its steps; everything else happens in this component's own thread and the
-//! writer's. What is not kept is counted.
+//! Invariant: a source that is recorded pays one push into its queue, behind its steps; everything else
+//! happens in this component's own thread and the writer's. Samples that are not kept are counted.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -30,10 +30,10 @@ const NAME: usize = 1000;
 #[derive(Component)]
 #[component(rate_hz = 100, provides("ctl"), max_step_ms = 5000)]
 pub struct Recorder {
-    /// What is recorded
+    /// The outputs to record
     #[input(name = "{}", fifo = 1024, optional)]
     topics: Many<AnyIn>,
-    /// What is recorded, too: inputs that are there without being configured, for system files
+    /// More outputs to record: inputs that are there without being configured, for system files
     #[input(optional, fifo = 1024)]
     in_1: AnyIn,
     /// As `in_1`
@@ -77,7 +77,7 @@ pub struct Recorder {
     #[host]
     host: Host,
     run: Option<Running>,
-    /// What is known of each input; as many as inputs.
+    /// State of each input; as many as inputs.
     each: Vec<Topic>,
     /// Their names.
     fitted: Vec<String>,
@@ -153,7 +153,7 @@ impl Recorder {
     #[command]
     fn annotate(&mut self, note: &Note) -> Result {
         let json: Json = trocar_sdk::serde_json::from_str(&note.json)
-            .map_err(|e| format!("json: is no JSON: {e}; give an object"))?;
+            .map_err(|e| format!("json: not valid JSON: {e}; give an object"))?;
         if !json.is_object() {
             return Err("json: is no object: put it into one, such as {\"value\": 1}".into());
         }
@@ -334,14 +334,15 @@ impl Recorder {
         }
     }
 
-    /// What has come so far, before a command changes what becomes of what comes.
+    /// Handles what has come so far, before a command changes what happens to later samples.
     fn catch_up(&mut self) {
         let Some(run) = &self.run else { return };
         let (recording, before) = (run.began_ns != 0, run.before());
         self.drain(recording, &[before]);
     }
 
-    /// What came by the inputs since the last step, but for what was acquired at times `beside` the recording, ns.
+    /// Takes what came by the inputs since the last step, except for samples acquired at times `beside` the
+    /// recording, ns.
     fn drain(&mut self, recording: bool, beside: &[Range<u64>]) {
         let Some(run) = &mut self.run else { return };
         let wanted = (recording && !run.paused) || (run.began_ns == 0 && run.pre_trigger_ns > 0);
@@ -358,7 +359,7 @@ impl Recorder {
         for (input, topic) in self.topics.ports_mut().chain(fixed).zip(&mut self.each) {
             for _ in 0..AT_ONCE {
                 let Some(view) = input.next() else { break };
-                // What waits for a recording to begin may wait for long.
+                // Samples that wait for a recording to begin may wait for long.
                 let seen = Seen::of(&view, recording);
                 if !wanted || beside.iter().any(|times| times.contains(&seen.stamp_ns)) {
                     topic.pass(&seen);
@@ -381,7 +382,7 @@ impl Recorder {
         }
     }
 
-    /// What the writer has told.
+    /// Handles the messages of the writer.
     fn hear(&mut self) {
         let Some(run) = &mut self.run else { return };
         let all: Vec<Ended> = run.news.try_iter().collect();
@@ -389,7 +390,7 @@ impl Recorder {
             self.tell_end(&ended);
             let Some(run) = &mut self.run else { return };
             if run.plan.is_none() && self.path == self.last.path {
-                // It ended by itself, or was ended: nothing is recorded until it is asked for.
+                // The recording ended by itself, or was ended: nothing is recorded until it is asked for.
                 run.began_ns = 0;
                 self.status.phase = Phase::IDLE;
                 self.path = Text::default();
@@ -441,7 +442,7 @@ impl Component for Recorder {
             let path = self.cfg.path.clone();
             let now_ns = self.host.now().ns();
             if let Err(why) = self.plan(&path, now_ns, 0) {
-                // It does not start: nothing of it stays.
+                // The recorder does not start: nothing of the run may stay.
                 self.drain_and_end();
                 return Err(why);
             }
@@ -511,7 +512,8 @@ impl Component for Recorder {
         let is_due = |at_ns: u64| recording && at_ns != 0 && at_ns <= now_ns;
         let (pauses, is_over) = (is_due(run.pause_ns), is_due(run.ends_ns));
         let until_ns = [run.pause_ns, run.ends_ns].into_iter().filter(|at_ns| is_due(*at_ns)).min();
-        // What comes late was acquired before, and what comes while this step is held up, behind. Stamps of another clock tell neither.
+        // Late samples were acquired before the begin, and those that come while this step is held up, behind
+        // the end. Stamps of another clock tell neither.
         let before = run.before();
         let behind = until_ns.map_or(0..0, |at_ns| at_ns..u64::MAX);
         self.drain(recording, &[before, behind]);

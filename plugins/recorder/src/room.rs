@@ -1,6 +1,7 @@
-//! Room on the disk for what is written next and for the end of the file, promised by the system before it is needed.
+//! Room on the disk for the next bytes and for the end of the file, promised by the system before it is
+//! needed.
 //!
-//! Invariant: as long as `ensure` says yes, all bytes up to there can be written, on a disk that is full, too.
+//! Invariant: as long as `ensure` says yes, all bytes up to there can be written, even on a full disk.
 
 use std::fs::File;
 use std::io;
@@ -8,7 +9,7 @@ use std::io;
 use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
 use rustix::io::Errno;
 
-/// Asked for at once, where there is so much.
+/// Room that is asked for at once, if there is so much, bytes.
 const STEP: u64 = 16 << 20;
 
 /// Room for one file.
@@ -16,7 +17,7 @@ pub(crate) struct Room {
     file: File,
     /// The system has promised all bytes up to here.
     promised: u64,
-    /// False where the file system promises nothing: then free space is looked at.
+    /// False if the file system promises nothing: then free space is looked at.
     promises: bool,
     /// In tests, the end of the disk.
     #[cfg(test)]
@@ -46,7 +47,7 @@ impl Room {
         if self.end.is_some_and(|last| end > last) {
             return Ok(false);
         }
-        // All at once where there is plenty; else only what is needed now.
+        // All at once if there is plenty; else only the room needed now.
         for upto in [end.saturating_add(STEP), end] {
             #[cfg(test)]
             let upto = self.end.map_or(upto, |last| upto.min(last));
@@ -71,7 +72,8 @@ impl Room {
         let free = fstatvfs(&self.file)?;
         let free = free.f_bavail.saturating_mul(free.f_frsize);
         let more = end - self.promised;
-        // Others write there, too: twice what is needed has to be free, and it is looked at again after a step of it.
+        // Others write there, too: twice the needed room and a step more have to be free, and each call
+        // beyond `end` looks again.
         if free < more.saturating_mul(2).saturating_add(STEP) {
             return Ok(false);
         }
@@ -79,9 +81,10 @@ impl Room {
         Ok(true)
     }
 
-    /// Gives back what was not used of it.
+    /// Gives back the unused part.
     pub(crate) fn trim(&self, len: u64) {
-        // What stays promised behind the end is no part of the file: nothing is wrong where it cannot be given back.
+        // Room that stays promised behind the end is no part of the file: it does no harm if it cannot be
+        // given back.
         let _ = self.file.set_len(len);
     }
 }

@@ -1,6 +1,8 @@
-//! A recorder between Start and Stop: the way to its writer, what it tells of itself, and the recording that is open or planned.
+//! A recorder between Start and Stop: the way to its writer, what it tells of itself, and the recording that
+//! is open or planned.
 //!
-//! Invariant: the writer counts channels as they are counted here, so each is added by [`Running::add`] and nowhere else, and none goes.
+//! Invariant: the writer counts channels as they are counted here, so each is added by [`Running::add`] and
+//! nowhere else, and none is removed.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -23,17 +25,17 @@ use crate::writer::Writer;
 
 /// Kinds of notes, at most: each is a channel of every file to come.
 const KINDS: usize = 32;
-/// How often what is missing is told, ns.
+/// Interval at which the missing samples are told, ns.
 pub(crate) const SECOND_NS: u64 = 1_000_000_000;
 /// The same while it grows: no more is untold when the process is killed than samples are.
 const GROWING_NS: u64 = 20_000_000;
-/// How late what was acquired may come and be known as such, ns.
+/// Longest delay after acquisition with which a sample is still recognised as late, ns.
 const LATEST_NS: u64 = 5_000_000_000;
 
 pub(crate) struct Running {
     pub(crate) way: Way,
     pub(crate) news: Receiver<Ended>,
-    /// Of the last recording that was planned.
+    /// Progress of the last recording that was planned.
     pub(crate) written: Arc<Written>,
     thread: Option<JoinHandle<()>>,
     /// The writer's channels.
@@ -44,7 +46,7 @@ pub(crate) struct Running {
     pub(crate) codec: Codec,
     pub(crate) pre_trigger_ns: u64,
     pub(crate) plan: Option<Plan>,
-    /// From when on what is acquired is in the recording that was begun last, ns.
+    /// Acquisition time from which samples are in the recording that was begun last, ns.
     since_ns: u64,
     /// When the recording began; 0 = there is none.
     pub(crate) began_ns: u64,
@@ -56,11 +58,11 @@ pub(crate) struct Running {
     pub(crate) shown_ns: u64,
     /// When the step before was; before the first one, when it was started.
     pub(crate) stepped_ns: u64,
-    /// What was missing when the file was told last: lost, interrupted.
+    /// Missing samples when the file was told last: lost, interrupted.
     told: (u64, u64),
     /// The same, when the writer was told last for the end of the file.
     told_for_end: (u64, u64),
-    /// Held by what tells the writer of what is missing, until it has arrived.
+    /// Held by an `Order::Missing` until it has arrived at the writer.
     telling: OnItsWay,
     markers: u64,
 }
@@ -151,8 +153,8 @@ impl Running {
         self.way.order(Order::Metadata("trocar.recorder".into(), recorder));
     }
 
-    /// A channel in each file from now on: its number. One that is there already, as after a connection was made anew, stays the
-    /// only one.
+    /// Adds a channel to each file from now on and returns its number. One that is there already, as after a
+    /// connection was made anew, stays the only one.
     pub(crate) fn add(&mut self, channel: Channel) -> u32 {
         let known = self.channels.iter().position(|old| *old == channel);
         let at = known.unwrap_or_else(|| {
@@ -163,8 +165,8 @@ impl Running {
         at as u32
     }
 
-    /// What came by this topic before its name was known, and waits for a recording, has that name; in one that goes on it keeps its
-    /// own.
+    /// Gives the topic's new name to samples that came before it was known and wait for a recording; in a
+    /// recording that goes on, the topic keeps its name.
     pub(crate) fn rename(&mut self, before: &str, now: &str) {
         if before == now || self.began_ns != 0 {
             return;
@@ -179,9 +181,9 @@ impl Running {
         }
     }
 
-    /// Whether the time of what was planned has come, and it is known what is to be recorded.
+    /// Tells whether the planned time has come, and the topics to be recorded are known.
     pub(crate) fn is_due(&mut self, now_ns: u64) -> bool {
-        // What is recorded is known by name once the graph was told.
+        // Names of recorded topics are known once the graph was told.
         let explained = self.explaining.is_told(now_ns);
         explained && self.plan.as_ref().is_some_and(|plan| plan.at_ns <= now_ns)
     }
@@ -191,16 +193,16 @@ impl Running {
         self.plan.as_ref().map_or(now_ns, |plan| plan.opening.since_ns)
     }
 
-    /// When what came too late for the last recording to be in it was acquired, ns.
+    /// Returns the acquisition times of samples that came too late for the last recording, ns.
     pub(crate) fn before(&self) -> Range<u64> {
         self.since_ns.saturating_sub(LATEST_NS)..self.since_ns
     }
 
-    /// Begins what was planned.
+    /// Begins the planned recording.
     pub(crate) fn begin(&mut self, host: &Host, now_ns: u64) {
         let Some(plan) = self.plan.take() else { return };
         (self.began_ns, self.since_ns) = (now_ns, plan.opening.since_ns);
-        // Where its time was since the step before, it counts from then.
+        // If its time was since the step before, the duration counts from that time.
         let from_ns = plan.at_ns.max(self.stepped_ns);
         self.ends_ns = if plan.duration_ns == 0 { 0 } else { from_ns + plan.duration_ns };
         (self.pause_ns, self.paused) = (0, false);
@@ -225,7 +227,7 @@ impl Running {
         Ok(())
     }
 
-    /// Room for so many bytes that somebody gives the recorder to keep.
+    /// Checks the room for so many bytes that a client gives the recorder to keep.
     fn make_sure(&self, bytes: usize) -> Result {
         if self.way.has_room(bytes) {
             return Ok(());
@@ -256,8 +258,8 @@ impl Running {
         Ok(())
     }
 
-    /// Tells the recording what is missing: each second, at once when a source went away, and more often while more is lost. Where there
-    /// is no room, it is told as soon as there is.
+    /// Tells the recording what is missing: each second, at once when a source went away, and more often
+    /// while more is lost. Without room it is told as soon as there is room.
     pub(crate) fn watch_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) {
         let since_ns = now_ns.saturating_sub(self.told_ns);
         let (grew, cut) = (now != self.told, now.1 != self.told.1);
@@ -265,20 +267,21 @@ impl Running {
         if due && self.tell_loss(each, now, now_ns) {
             return;
         }
-        // The writer may have to close the file at any moment. Told no faster than it hears, for its disk may stand still.
+        // The writer may have to close the file at any moment. It is told no faster than it hears, for its
+        // disk may stand still.
         if now != self.told_for_end && self.telling.has_arrived() {
             self.tell_for_end(Missing::of(each), now);
         }
     }
 
-    /// What is missing at the end of the recording, into the file where there is room, and for its end.
+    /// Tells what is missing at the end of the recording: in the file if there is room, else for its end.
     pub(crate) fn end_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) {
         if !self.tell_loss(each, now, now_ns) {
             self.tell_for_end(Missing::of(each), now);
         }
     }
 
-    /// What is missing so far, into the recording and for its end. Whether there was room.
+    /// Tells what is missing so far, in the recording and for its end. Returns whether there was room.
     fn tell_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) -> bool {
         let missing = Missing::of(each);
         let by_topic = |all: &[(String, u64)]| -> Json {
@@ -307,11 +310,11 @@ impl Running {
         self.way.order(Order::Missing(missing, self.telling.clone()));
     }
 
-    /// Ends the writer, which closes what is open first: what it told and nobody heard yet.
+    /// Ends the writer, which closes an open file first; returns its messages that were not read yet.
     pub(crate) fn finish(mut self) -> Vec<Ended> {
         self.way.send();
         let Running { way, news, thread, .. } = self;
-        // Without its orders the writer closes what is open and ends.
+        // Without its orders the writer closes an open file and ends.
         drop(way);
         if let Some(thread) = thread {
             let _ = thread.join();
@@ -331,13 +334,14 @@ fn json_channel(topic: &str) -> Channel {
     }
 }
 
-/// What the clock on the wall shows, ns since 1970.
+/// Returns the wall clock's time, ns since 1970.
 fn unix_ns() -> i128 {
     let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     wall.map_or(0, |t| t.as_nanos() as i128)
 }
 
-/// What the clock of all stamps is on the wall: the offset between the two, read between two readings.
+/// Returns the relation of the clock of all stamps to the wall clock: the offset between the two, with one
+/// read between two readings of the other.
 fn clock(host: &Host) -> BTreeMap<String, String> {
     let before = host.now().ns();
     let wall_ns = unix_ns();

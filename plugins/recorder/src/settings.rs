@@ -1,4 +1,4 @@
-//! How a recorder is configured, and what of it cannot be.
+//! Configuration of a recorder, and the values it refuses.
 //!
 //! Invariant: what is refused is refused before anything of it is used.
 
@@ -14,7 +14,7 @@ pub(crate) const LONGEST_S: f64 = 86_400.0;
 
 #[derive(Config)]
 pub(crate) struct RecorderConfig {
-    /// Where recordings are made; nothing outside of it is written
+    /// Directory of the recordings; nothing outside of it is written
     #[config(default = ".")]
     pub(crate) directory: String,
     /// A file to record to as soon as it is started; "" waits for `start`
@@ -23,34 +23,35 @@ pub(crate) struct RecorderConfig {
     /// Names of the inputs; connect each to an output
     #[config(default = [])]
     pub(crate) topics: Vec<String>,
-    /// What is connected to each of them, `process/component/port`: how its topic is called; nothing: the graph is asked
+    /// Source of each input, `process/component/port`, which names its topic; nothing: the graph is asked
     #[config(default = [])]
     pub(crate) sources: Vec<String>,
-    /// Of each input only every so many-th sample is kept; nothing: all
+    /// Keeps only every so many-th sample of each input; nothing: all
     #[config(default = [])]
     pub(crate) every: Vec<u64>,
-    /// Of each input at most so many samples per second are kept; 0 or nothing: all
+    /// Keeps at most so many samples per second of each input; 0 or nothing: all
     #[config(default = [])]
     pub(crate) max_rate_hz: Vec<f64>,
-    /// How video is kept: as it is, smaller without loss, or as JPEG
+    /// Encoding of video: as it is, smaller without loss, or as JPEG
     #[config(default = "raw", one_of = ["raw", "qoi", "jpeg"])]
     pub(crate) video: String,
     /// Quality of JPEG, from 1 to 100
     #[config(min = 1, max = 100, default = 85)]
     pub(crate) jpeg_quality: u32,
-    /// How much of the time before `start` is kept and recorded, too
+    /// Time before `start` that is kept and recorded, too
     #[config(min = 0.0, max = 3600.0, unit = "s", default = 0.0)]
     pub(crate) pre_trigger_s: f64,
     /// Memory for what is kept before `start`; where it is not enough, the oldest gives way
     #[config(min = 1, max = 65536, unit = "MB", default = 512)]
     pub(crate) pre_trigger_mb: u64,
-    /// Memory for what waits to be written, the last quarter of it not for frames; what finds none is lost, and counted
+    /// Memory for samples that wait to be written, the last quarter of it not for frames; samples without
+    /// room are lost, and counted
     #[config(min = 8, max = 65536, unit = "MB", default = 256)]
     pub(crate) buffer_mb: u64,
 }
 
 impl RecorderConfig {
-    /// What cannot be said of single settings.
+    /// Checks what cannot be said of single settings.
     ///
     /// # Errors
     /// A sentence that names the setting and what to do.

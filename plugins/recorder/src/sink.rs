@@ -1,9 +1,10 @@
-//! The file as a writer fills it. What is much goes to the disk past the page cache: copying it there and cleaning up behind it
-//! takes as long as everything else a recording does. A disk that is slow for it gets it through the page cache, which has room for
-//! seconds of it. What is large is written from where it lies.
+//! The file as a writer fills it. Large amounts go to the disk past the page cache: copying them there and
+//! cleaning up behind them takes as long as everything else a recording does. A disk that is too slow for
+//! this gets them through the page cache, which has room for seconds of data. Large pieces are written from
+//! where they lie.
 //!
-//! Invariant: after a `flush` that was said to be urgent the file begins with all that was written, and what follows is nothing or
-//! one record that readers leave out.
+//! Invariant: after a `flush` that was said to be urgent, the file begins with all that was written; nothing
+//! follows, or one record that readers leave out.
 
 #[cfg(test)]
 mod tests;
@@ -16,32 +17,34 @@ use std::time::{Duration, Instant};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::Errno;
 
-/// What disks take past the page cache begins, ends and lies in memory at multiples of it, bytes.
+/// Alignment that disks require past the page cache, of begin, end and place in memory, bytes.
 const PAGE: usize = 4 << 10;
 /// Written at once when so many bytes wait.
 const HOLDS: usize = 512 << 10;
 /// Past the page cache, less than this waits for more, unless it is urgent.
 const WORTH: usize = 256 << 10;
-/// How long bytes are counted before it is decided how the next ones go.
+/// Time for which bytes are counted before the next route is chosen.
 const LOOK: Duration = Duration::from_millis(100);
 /// From so many bytes per second on, and down to so many, the page cache is passed by.
 const MUCH: (f64, f64) = (16e6, 4e6);
-/// What comes faster is a burst, which memory takes at once and few disks do, bytes per second.
+/// Rate above which data are a burst, which memory takes at once and few disks do, bytes per second.
 const BURST: f64 = 600e6;
 /// The share of the time that may be spent waiting for the disk; one that takes more is tried again later.
 const WAITS: f64 = 0.3;
 /// The first time after so long, later twice as long each time up to this.
 const AGAIN: (Duration, Duration) = (Duration::from_secs(10), Duration::from_secs(640));
-/// Opcode of the record that fills a page: the format leaves those from here on to applications, and readers leave them out.
+/// Opcode of the record that fills a page: the format leaves opcodes from here on to applications, and
+/// readers leave them out.
 const FILLER: u8 = 0x80;
-/// Pages that fillers may take behind what is in memory: each at most two, and one that is replaced reaches one further.
+/// Pages that fillers may take behind what is in memory: each at most two, and one that is replaced reaches
+/// one further.
 const FILLERS: usize = 4;
 /// A filler before what is placed is shorter than this, bytes.
 pub(crate) const MOST_FILLER: usize = 2 * PAGE;
-/// Of a record: its opcode and its length.
+/// Length of a record's opcode and length field.
 const RECORD_HEAD: usize = 9;
 
-/// How bytes go to the disk.
+/// Route of bytes to the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Route {
     /// Through the page cache.
@@ -55,18 +58,19 @@ enum Route {
 pub(crate) struct Sink {
     file: File,
     memory: Memory,
-    /// Where in the file the memory begins: at a page.
+    /// Place in the file at which the memory begins: a page.
     at: u64,
     /// In memory.
     filled: usize,
-    /// Of it, in the file already.
+    /// Bytes of it that are in the file already.
     stored: usize,
-    /// Where in the file the filler ends that follows what is stored; at most where that ends: there is none.
+    /// Place in the file at which the filler ends that follows the stored bytes; not behind their end if
+    /// there is no filler.
     padded_to: u64,
     route: Route,
     /// Since when bytes are counted, and how many there were then.
     looked: (Instant, u64),
-    /// How long the disk was waited for since then.
+    /// Time spent waiting for the disk since then.
     waited: Duration,
     /// Before then the page cache is not passed by, and after the next time it was too slow for so long.
     not_before: Instant,
@@ -83,7 +87,7 @@ impl Memory {
     fn new(len: usize) -> Memory {
         let bytes = vec![0; len + PAGE];
         let begin = bytes.as_ptr().align_offset(PAGE);
-        // Where that cannot be told, disks refuse, and the page cache takes it.
+        // If the alignment is unknown, disks refuse the write, and the page cache takes it.
         Memory { bytes, begin: if begin < PAGE { begin } else { 0 } }
     }
 
@@ -109,7 +113,7 @@ impl Sink {
         }
     }
 
-    /// Past the page cache from now on, where the file system knows that way; false where it does not.
+    /// Writes past the page cache from now on; false if the file system does not support that.
     #[cfg(test)]
     pub(crate) fn go_direct(&mut self) -> bool {
         self.looked.0 = Instant::now() + Duration::from_secs(3600);
@@ -122,12 +126,12 @@ impl Sink {
         self.at + self.filled as u64
     }
 
-    /// How much of what was written is in the file, bytes.
+    /// Returns how much of what was written is in the file, bytes.
     pub(crate) fn stored(&self) -> u64 {
         self.at + self.stored as u64
     }
 
-    /// How the next bytes go, from how many there were and how long the disk took.
+    /// Chooses the route of the next bytes, from how many there were and how long the disk took.
     fn choose(&mut self) {
         self.choose_at(Instant::now());
     }
@@ -167,7 +171,7 @@ impl Sink {
         };
     }
 
-    /// Writes the memory from what is not stored up to `end`.
+    /// Writes the memory from the first byte not stored up to `end`.
     fn store(&mut self, end: usize) -> io::Result<()> {
         if self.route == Route::Direct {
             let from = self.stored - self.stored % PAGE;
@@ -182,7 +186,7 @@ impl Sink {
         self.file.write_all_at(&self.memory.at()[from..end], self.at + from as u64)
     }
 
-    /// Whole pages from elsewhere, at the page behind what is stored.
+    /// Writes whole pages from elsewhere, at the page behind the stored bytes.
     fn store_pages(&mut self, pages: &[u8]) -> io::Result<()> {
         if self.route == Route::Direct {
             let begun = Instant::now();
@@ -194,7 +198,7 @@ impl Sink {
         self.file.write_all_at(pages, self.at)
     }
 
-    /// Counts how long the disk took; false where it has to be done again, through the page cache.
+    /// Counts the time the disk took; false if the write has to be done again, through the page cache.
     fn took(&mut self, begun: Instant, done: &io::Result<()>) -> bool {
         self.waited += begun.elapsed();
         let refused = |why: &io::Error| Errno::from_io_error(why) == Some(Errno::INVAL);
@@ -224,8 +228,8 @@ impl Sink {
         Ok(())
     }
 
-    /// Behind what is in memory, a record up to the end of a page and of the filler that is there; its end. Past the page cache
-    /// a whole page is written; else only what replaces a filler.
+    /// Adds a record behind what is in memory, up to the end of a page and of the filler that is there;
+    /// returns its end. Past the page cache a whole page is written; else only what replaces a filler.
     fn pad(&mut self, page: usize) -> usize {
         let filled = self.filled;
         let old = usize::try_from(self.padded_to.saturating_sub(self.at)).unwrap_or(0);
@@ -241,7 +245,7 @@ impl Sink {
         end
     }
 
-    /// Behind what was written.
+    /// Appends bytes.
     pub(crate) fn put(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         loop {
             let (now, later) = bytes.split_at(bytes.len().min(HOLDS - self.filled));
@@ -256,8 +260,9 @@ impl Sink {
         }
     }
 
-    /// `head`, and `body` behind it, which is not copied but for its ends; where `head` begins. Past the page cache a filler may come
-    /// before: pages of memory go to pages of the file. For a body of several pages, at the begin of a record.
+    /// Writes `head`, and `body` behind it, of which only the ends are copied; returns where `head` begins.
+    /// Past the page cache a filler may come before: pages of memory go to pages of the file. For a body of
+    /// several pages, at the begin of a record.
     pub(crate) fn place(&mut self, head: &[u8], body: &[u8]) -> io::Result<u64> {
         self.choose();
         if self.route == Route::Direct {
@@ -287,15 +292,16 @@ impl Sink {
         Ok(begins)
     }
 
-    /// At the end of a record: what waits goes to the file, past the page cache only when it is much or `urgent`; whether all of it
-    /// is in the file.
+    /// Called at the end of a record: sends what waits to the file, past the page cache only when it is much
+    /// or `urgent`. Returns whether all of it is in the file.
     pub(crate) fn flush(&mut self, urgent: bool) -> io::Result<bool> {
         self.choose();
         let waits = self.filled - self.stored;
         if waits == 0 || (self.route == Route::Direct && !urgent && waits < WORTH) {
             return Ok(waits == 0);
         }
-        // The file is never made shorter meanwhile: that would give back the room that was promised behind its end.
+        // The file is never made shorter meanwhile: that would give back the room that was promised behind
+        // its end.
         let end = self.pad(if self.route == Route::Direct { PAGE } else { 1 });
         self.store(end)?;
         self.padded_to = self.at + end as u64;
@@ -304,7 +310,8 @@ impl Sink {
         Ok(true)
     }
 
-    /// All that was written is in the file, which may be longer: it is cut to the length that is told, whatever went wrong.
+    /// Closes the file with all that was written in it. The file may be longer: the caller cuts it to the
+    /// returned length, even after an error.
     pub(crate) fn close(mut self) -> (u64, io::Result<()>) {
         if self.route == Route::Direct {
             self.take(Route::Cached);
@@ -317,7 +324,7 @@ impl Sink {
     }
 }
 
-/// Of a filler so long.
+/// Returns the head of a filler of this length.
 fn filler_head(len: usize) -> [u8; RECORD_HEAD] {
     let mut head = [FILLER; RECORD_HEAD];
     head[1..].copy_from_slice(&((len - RECORD_HEAD) as u64).to_le_bytes());

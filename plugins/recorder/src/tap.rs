@@ -1,7 +1,7 @@
-//! What a component's taps give: its events or its commands, all in one stream, each as a topic of its own.
+//! Samples of a component's taps: its events or its commands, all in one stream, each as a topic of its own.
 //!
-//! Invariant: what a member's bytes mean is what the tap's own description says; a sample that is cut or of an unknown member is
-//! told as lost, never as something else.
+//! Invariant: the tap's own description says what a member's bytes mean; a sample that is cut or of an
+//! unknown member is told as lost, never as something else.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::orders::Channel;
 use crate::topic::Seen;
 use crate::typed::{self, Typed};
 
-/// Where the parts of a sample are, and what its members are.
+/// Places of the parts of a sample, and its possible members.
 pub(crate) struct Tap {
     which: usize,
     outcome: Option<usize>,
@@ -48,8 +48,9 @@ fn values(types: &Json, field: &Json) -> Vec<(String, i64)> {
 }
 
 impl Tap {
-    /// None where the description is none of a tap. `name` is that of the tap, `/process/component/tap_events`: its members are
-    /// topics below it, where no other output's can be, for the name is reserved.
+    /// Returns none if the description is none of a tap. `name` is that of the tap,
+    /// `/process/component/tap_events`: its members are topics below it, where no other output's can be, for
+    /// the name is reserved.
     pub(crate) fn of(description: &str, name: &str, add: &mut dyn FnMut(Channel) -> u32) -> Option<Tap> {
         let json: Json = trocar_sdk::serde_json::from_str(description).ok()?;
         let types = &json["types"];
@@ -110,7 +111,7 @@ impl Tap {
         })
     }
 
-    /// Writes a sample to its member's topic: how many bytes, none where it cannot be told what it is.
+    /// Writes a sample to its member's topic; returns the number of bytes, none if its member is unknown.
     pub(crate) fn write(
         &self,
         seen: &Seen<'_>,

@@ -1,7 +1,8 @@
-//! One input while it is recorded: what comes by it, how that is encoded, what of it is kept, what was lost.
+//! One input while it is recorded: its samples, how they are encoded, which of them are kept, which were
+//! lost.
 //!
-//! Invariant: kept + left out + lost = sent by the source since the recording began, as far as its count tells; what was lost of
-//! the time before, as far as the recording reaches back, is among the lost.
+//! Invariant: kept + left out + lost = sent by the source since the recording began, as far as its count
+//! tells. Samples that were lost before, as far as the recording reaches back, are among the lost.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -16,7 +17,7 @@ use crate::orders::{Channel, Codec};
 use crate::tap::Tap;
 use crate::typed::{self, Typed};
 
-/// What a frame takes beside its bytes when it is encoded.
+/// Room for what encoding adds to the bytes of a frame.
 const AROUND: usize = 512;
 /// Frames of a topic that are held at once: their source fills them anew only afterwards.
 const HELD_AT_ONCE: usize = 3;
@@ -35,11 +36,11 @@ pub(crate) struct Topic {
     pub(crate) left_out: u64,
     pub(crate) lost: u64,
     pub(crate) bytes: u64,
-    /// How often what it is connected to went away.
+    /// Number of times its source went away.
     pub(crate) interrupted: u64,
     /// When it did last, ns.
     interrupted_ns: u64,
-    /// What it is connected to, as far as was told.
+    /// Connection of the input, as far as was told.
     link: Option<Link>,
     /// The connection the last sample came by; 0 = none.
     source: u64,
@@ -53,14 +54,15 @@ pub(crate) struct Topic {
     held: Arc<()>,
 }
 
-/// What an input is connected to, as the GCM tells it.
+/// Connection of an input, as the GCM tells it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Link {
     /// Number of the connection.
     pub(crate) id: u64,
-    /// Of the link to the process at its other end: another one each time they are linked; 0 where it is in this process.
+    /// Number of the link to the source's process: another one each time they are linked; 0 if the source is
+    /// in this process.
     pub(crate) epoch: u64,
-    /// Of the GCM that said so.
+    /// Term of the GCM that said so.
     pub(crate) term: u64,
 }
 
@@ -86,7 +88,7 @@ pub(crate) struct Seen<'a> {
     pub(crate) bytes: &'a [u8],
     pub(crate) stamp_ns: u64,
     pub(crate) seq: u64,
-    /// Where its frame may be held.
+    /// View by which its frame may be held.
     view: Option<&'a AnyView<'a>>,
 }
 
@@ -97,7 +99,7 @@ impl<'a> Seen<'a> {
         Seen { value: view.value(), bytes: view.bytes(), stamp_ns, seq, view: may_hold.then_some(view) }
     }
 
-    /// Of something that was put aside.
+    /// Returns a sample that was put aside.
     pub(crate) fn copied(value: &'a [u8], bytes: &'a [u8], stamp_ns: u64, seq: u64) -> Seen<'a> {
         Seen { value, bytes, stamp_ns, seq, view: None }
     }
@@ -108,7 +110,7 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// The bytes of a frame, and the frame where it is held.
+/// The bytes of a frame, and the frame if it is held.
 struct Frame<'a> {
     bytes: &'a [u8],
     held: Option<Arc<HeldPart>>,
@@ -133,13 +135,13 @@ impl Topic {
         self.link.is_some() && self.kept + self.left_out + self.lost == 0
     }
 
-    /// All but its name and what is kept of it.
+    /// Forgets everything except its name and the thinning.
     pub(crate) fn forget(&mut self) {
         let name = std::mem::take(&mut self.name);
         *self = Topic { name, every: self.every, rate: self.rate, ..Topic::default() };
     }
 
-    /// Counts from here; what was lost counts from that time on.
+    /// Begins the counts anew; losses and interruptions count from that time on.
     pub(crate) fn begin(&mut self, since_ns: u64) {
         (self.kept, self.left_out, self.bytes) = (0, 0, 0);
         self.interrupted = u64::from(self.interrupted_ns != 0 && self.interrupted_ns >= since_ns);
@@ -162,7 +164,7 @@ impl Topic {
         }
     }
 
-    /// What it is connected to, as the GCM of this term says; none where that went away.
+    /// Takes the connection as the GCM of this term says; none if it went away.
     pub(crate) fn link_is(&mut self, link: Option<Link>, term: u64, now_ns: u64) {
         let same = match (self.link, link) {
             (None, _) => true,
@@ -178,7 +180,7 @@ impl Topic {
         }
     }
 
-    /// It is found to be connected to nothing: a GCM may not have told yet.
+    /// Takes the input as connected to nothing, as found here: a GCM may not have told yet.
     pub(crate) fn is_cut(&mut self, now_ns: u64) {
         let term = self.link.map_or(0, |link| link.term);
         self.link_is(None, term, now_ns);
@@ -192,7 +194,7 @@ impl Topic {
         }
     }
 
-    /// Another connection: finds out what comes by it. `add` gives a channel its number.
+    /// Handles another connection: finds out its type. `add` gives a channel its number.
     pub(crate) fn connected(
         &mut self,
         source: u64,
@@ -238,7 +240,7 @@ impl Topic {
         };
         let shown =
             Shown::of(&ty, name, &foxglove::frame_id(description, name)).filter(|shown| match shown {
-                // A format no viewer has a word for is kept as what it is.
+                // A format without a name in viewers is kept as it is.
                 Shown::Image(places) => places.images(sample.value, sample.bytes).is_some(),
                 _ => true,
             });
@@ -324,7 +326,7 @@ impl Topic {
 }
 
 impl Encoder {
-    /// How many bytes were written; none where the sample is not what its type says.
+    /// Encodes a sample and returns the number of bytes; none if the sample is not what its type says.
     fn write(
         &self,
         seen: &Seen<'_>,
@@ -393,7 +395,7 @@ mod tests {
         Topic { every: 1, ..Topic::default() }
     }
 
-    /// What becomes of samples with these numbers and stamps: kept, left out, lost.
+    /// Returns the fate of samples with these numbers and stamps: kept, left out, lost.
     fn taken(mut topic: Topic, samples: &[(u64, u64)]) -> (u64, u64, u64) {
         let (mut way, _received, _) = way(1 << 20);
         let value = 1f64.to_le_bytes();

@@ -1,7 +1,7 @@
 //! A payload type as protobuf: its descriptor, and the plan by which its bytes become a message.
 //!
-//! Invariant: descriptor and plan are made in one walk, so a number in one is the number in the other; any bytes of the
-//! type's size can be encoded: lengths are clamped and texts made valid.
+//! Invariant: descriptor and plan are made in one walk, so a number in one is the number in the other. Any
+//! bytes of the type's size can be encoded: lengths are clamped and texts made valid.
 
 use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -17,7 +17,7 @@ use crate::wire;
 /// Field of a command's outcome, beside those of its argument.
 const OUTCOME: u32 = 10_000;
 
-/// How a topic's messages are called, described and made.
+/// Name, descriptor and encoding of a topic's messages.
 pub(crate) struct Typed {
     /// `trocar.h0123456789abcdef.Scalar`: the type hash is part of it.
     pub(crate) name: String,
@@ -79,16 +79,16 @@ enum How {
 enum Small {
     /// One byte that is zero or not.
     Flag,
-    /// Of so many bytes.
+    /// Integer of so many bytes.
     Unsigned(usize),
     /// The same, zigzag.
     Signed(usize),
-    /// Of a proto enum: sign-extended to 64 bits.
+    /// Proto enum of so many bytes: sign-extended to 64 bits.
     Enum(usize, bool),
 }
 
 impl Typed {
-    /// Of what a port carries; `hash` stands for it.
+    /// Returns the messages of what a port carries; `hash` stands for it.
     pub(crate) fn of(ty: &AnyType, hash: u64) -> Typed {
         let package = format!("trocar.h{hash:016x}");
         let mut walk = Walk { package: &package, messages: Vec::new(), units: Vec::new() };
@@ -125,7 +125,8 @@ impl Typed {
         Typed { name: format!("{package}.{name}"), descriptors, units: walk.units, plan, data }
     }
 
-    /// Of a member of an interface: its payload, if it has one, and how it ended where that is told.
+    /// Returns the messages of a member of an interface: its payload, if it has one, and its outcome if that
+    /// is told.
     pub(crate) fn of_member(ty: Option<&AnyType>, hash: u64, outcome: bool) -> Typed {
         let empty = || Typed {
             name: String::new(),
@@ -175,7 +176,8 @@ impl Typed {
     }
 }
 
-/// Stands for a type as a port describes it, without its documentation: FNV-1a, 64 bit, over the description in one spelling.
+/// Returns a number for a type as a port describes it, without its documentation: FNV-1a, 64 bit, over the
+/// description in one spelling.
 pub(crate) fn hash(description: &str) -> u64 {
     fn without_docs(value: &mut Json) {
         match value {
@@ -226,7 +228,7 @@ struct Walk<'a> {
     units: Vec<(String, String)>,
 }
 
-/// What a number is in protobuf, and how it gets there.
+/// Returns the protobuf type of a number, and its conversion.
 fn number(name: &str, size: usize) -> (Type, Result<(), Small>) {
     match name {
         "bool" => (Type::Bool, Err(Small::Flag)),
@@ -377,7 +379,7 @@ impl Walk<'_> {
     }
 }
 
-/// A proto enum has a zero first, 32 bits, and names of its own; none where the values do not fit.
+/// A proto enum has a zero first, 32 bits, and names of its own; none if the values do not fit.
 fn named_values(name: &str, size: usize, values: &[(String, i64)]) -> Option<EnumDescriptorProto> {
     if size > 4 || values.iter().any(|(_, value)| i32::try_from(*value).is_err()) {
         return None;

@@ -1,4 +1,5 @@
-//! Protobuf's wire format, as far as it is written here: keys, varints, and messages whose length is known afterwards.
+//! Protobuf's wire format, as far as it is written here: keys, varints, and messages whose length is known
+//! afterwards.
 //!
 //! Invariant: every length stands before exactly so many bytes.
 
@@ -25,7 +26,7 @@ pub(crate) fn bytes(to: &mut Vec<u8>, number: u32, value: &[u8]) {
     to.extend_from_slice(value);
 }
 
-/// What stands before so many bytes.
+/// Writes the key and length before so many bytes.
 pub(crate) fn bytes_follow(to: &mut Vec<u8>, number: u32, len: usize) {
     key(to, number, BYTES);
     varint(to, len as u64);

@@ -1,11 +1,11 @@
-//! What a recorder is asked, and what it tells.
+//! Requests to a recorder, and its answers.
 //!
 //! Invariant: the layouts are part of its interface: fields are appended, never changed.
 
 use trocar_sdk::prelude::*;
 
 named_values! {
-    /// What a recorder does.
+    /// State of a recorder.
     pub struct Phase: u32 {
         /// Nothing is recorded.
         IDLE = 0,
@@ -16,7 +16,7 @@ named_values! {
     }
 }
 
-/// What `start` is asked for.
+/// Request of `start`.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct StartRequest {
@@ -25,12 +25,12 @@ pub struct StartRequest {
     /// From now until it begins.
     #[unit("s")]
     pub delay: f64,
-    /// How long it records; 0: until it is stopped.
+    /// Duration of the recording; 0: until it is stopped.
     #[unit("s")]
     pub duration: f64,
 }
 
-/// What `record_at` is asked for.
+/// Request of `record_at`.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct RecordAt {
@@ -38,7 +38,7 @@ pub struct RecordAt {
     pub path: Text<1000>,
     /// When it begins, on the host's clock.
     pub at: Stamp,
-    /// How long it records; 0: until it is stopped.
+    /// Duration of the recording; 0: until it is stopped.
     #[unit("s")]
     pub duration: f64,
 }
@@ -47,13 +47,13 @@ pub struct RecordAt {
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Note {
-    /// What it is about; becomes the topic /recorder/note_KIND.
+    /// Kind of the note; becomes the topic /recorder/note_KIND.
     pub kind: Text<64>,
     /// JSON.
     pub json: Text<16000>,
 }
 
-/// How much of a topic is kept.
+/// Part of a topic's samples that is kept.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Thinning {
@@ -75,7 +75,7 @@ pub struct Progress {
     pub topics: u32,
     /// In the file.
     pub messages: u64,
-    /// Of the file.
+    /// Length of the file.
     #[unit("B")]
     pub bytes: u64,
     /// Samples that should be in it and are not.
@@ -83,7 +83,8 @@ pub struct Progress {
     /// Since it began.
     #[unit("s")]
     pub elapsed: f64,
-    /// How often a connection, or the process of a source, went away while it recorded: what would have come then is not in it.
+    /// Number of times a connection, or the process of a source, went away while it recorded: samples of that
+    /// time are not in it.
     pub interrupted: u64,
 }
 
@@ -98,7 +99,7 @@ pub struct Stopped {
     #[unit("B")]
     pub bytes: u64,
     pub lost: u64,
-    /// It has its index and its end.
+    /// The file has its index and its end.
     pub whole: Flag,
     pub reserved: [u8; 7],
     /// As in `Progress`.

@@ -1,7 +1,7 @@
 //! The thread that writes: blocks become an MCAP file, closed properly whatever happens to the disk.
 //!
-//! Invariant: nothing is handed to the file for which, with everything that has to come behind it, there is no room; what was
-//! taken is in the file at most [`FLUSH`] later.
+//! Invariant: nothing is handed to the file unless there is room for it and for everything that has to come
+//! behind it. What was taken is in the file at most [`FLUSH`] later.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -26,9 +26,10 @@ const FLUSH: Duration = Duration::from_millis(10);
 const IDLE: Duration = Duration::from_millis(50);
 /// A chunk is closed when it holds so many bytes.
 const CHUNK: u64 = 64 << 10;
-/// What the end of a file takes beside its indexes, bytes: statistics, offsets, footer, what is lost.
+/// Length of a file's end beside its indexes, bytes: statistics, offsets, footer, what is lost.
 const TAIL: u64 = 128 << 10;
-/// Of a message beside its bytes: record, index entry; of one that is a chunk of its own: that, too.
+/// Length of a message beside its bytes: record, index entry; of one that is a chunk of its own: the chunk's,
+/// too.
 const PER_MESSAGE: u64 = 64;
 const PER_LARGE: u64 = 512 + MOST_FILLER as u64;
 
@@ -45,7 +46,7 @@ pub(crate) struct Writer {
     /// From before a recording, oldest first.
     past: VecDeque<Block>,
     past_bytes: u64,
-    /// How much of it stays, in time and in bytes.
+    /// Part of it that stays, in time and in bytes.
     most_past: (u64, u64),
     file: Option<OpenFile>,
 }
@@ -66,7 +67,7 @@ struct OpenFile {
     scratch: Vec<u8>,
 }
 
-/// Why a file ends before anybody asked for it.
+/// Why a file ends without being asked to.
 enum Broken {
     Full,
     Other(String),
@@ -93,7 +94,8 @@ impl Writer {
         }
     }
 
-    /// Until the step's end is gone; what is open then is closed. `every` is called about ten times a second.
+    /// Runs until the step's end is gone; an open file is closed then. `every` is called about ten times a
+    /// second.
     pub(crate) fn run(mut self, orders: &Receiver<Order>, mut every: impl FnMut()) {
         let mut looked = Instant::now();
         loop {
@@ -221,7 +223,8 @@ impl Writer {
         match broken {
             Broken::Full => self.close(FULL),
             Broken::Other(why) => {
-                // Nothing more can be written: the file is what it is, and readers that read from the begin read it.
+                // Nothing more can be written: the file stays as it is, and readers that read from the begin
+                // can read it.
                 if let Some(file) = self.file.take() {
                     let (path, messages) = (file.path.clone(), file.messages);
                     let (lost, interrupted) = self.missing_of(&file);
@@ -353,7 +356,7 @@ impl OpenFile {
         self.spoiled.values().sum()
     }
 
-    /// What is in the chunk goes on its way.
+    /// Sends on what is in the chunk.
     fn close_chunk(&mut self, urgent: bool) -> Result<(), Broken> {
         if self.mcap.flush(urgent)? {
             self.pending_since = None;
@@ -403,7 +406,8 @@ impl OpenFile {
         (bytes, told.is_none(), told)
     }
 
-    /// Leaves the file as it is, and tells its length; nothing of what waits is written, and a summary is not tried.
+    /// Leaves the file as it is, and returns its length; nothing that waits is written, and no summary is
+    /// tried.
     fn give_up(self) -> u64 {
         let stored = self.mcap.into_sink().stored();
         self.room.trim(stored);

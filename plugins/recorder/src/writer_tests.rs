@@ -28,7 +28,7 @@ fn opening(path: &std::path::Path, since_ns: u64) -> Order {
     }))
 }
 
-/// Runs a writer over orders, and tells what it told.
+/// Runs a writer over orders, and returns its messages.
 fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::block::Way)) -> Vec<Ended> {
     let (mut way, orders, returns) = way(64 << 20);
     let (tell, news) = std::sync::mpsc::channel();
@@ -117,7 +117,7 @@ fn what_was_before_a_recording_is_in_it_as_far_as_it_was_held() {
 fn filled(room: u64, direct: bool, mut push: impl FnMut(&mut crate::block::Way, u64)) {
     let dir = tempfile::tempdir().expect("a directory");
     let path = dir.path().join("a.mcap");
-    // It stands for a disk: the real one is filled from outside.
+    // The file stands for a disk: the real one is filled from outside.
     let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path).expect("a new file");
     let opening =
         Opening { file, path: path.clone(), codec: Codec::Raw, since_ns: 0, written: Arc::default() };

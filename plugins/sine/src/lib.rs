@@ -1,6 +1,7 @@
 //! A sine generator: the smallest source of data.
 //!
-//! Invariant: the value depends on the tick's deadline alone, so two generators with equal settings agree to the bit.
+//! Invariant: the value depends on the tick's deadline alone, so two generators with equal settings agree to
+//! the bit.
 #![forbid(unsafe_code)]
 
 use std::f64::consts::TAU;

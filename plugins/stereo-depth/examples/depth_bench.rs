@@ -1,5 +1,5 @@
-//! Matches pairs from raw files and times it, for `tests/bench/peers/vision.py`, which has the same pairs matched by
-//! OpenCV.
+//! Matches pairs from raw files and times it, for `tests/bench/peers/vision.py`, which has the same pairs
+//! matched by OpenCV.
 //!
 //! Invariant: reads and writes plain bytes only; one JSON line for each job, in the order of the jobs.
 //!

@@ -1,7 +1,8 @@
 //! Block matching: sums of absolute differences over a window, by sliding it down and to the right.
 //!
-//! Invariant: a column's sum is that of the `block` newest rows, so each row enters and leaves once; no sum passes 16 bits.
-//! Source: Konolige, "Small vision systems", 1997, with the texture and uniqueness checks that OpenCV made usual.
+//! Invariant: a column's sum is that of the `block` newest rows, so each row enters and leaves once; no sum
+//! passes 16 bits. Source: Konolige, "Small vision systems", 1997, with the texture and uniqueness checks
+//! that OpenCV made usual.
 
 #[path = "block_matching/plain.rs"]
 mod plain;
@@ -70,7 +71,8 @@ impl BlockMatching {
         }
     }
 
-    /// Matches grey images with touching rows; `mirrored` is the right one, mirrored. Disparities are 1/16 px.
+    /// Matches grey images with touching rows; `mirrored` is the right one, mirrored. Disparities are 1/16
+    /// px.
     pub(crate) fn run(&mut self, left: &[u8], mirrored: &[u8], disparity: &mut [i16]) {
         let Settings { block, n_disp, uniqueness, consistency, .. } = self.settings;
         let (width, height, radius) = (self.width, self.height, block / 2);
@@ -132,7 +134,8 @@ fn row_of(bytes: &[u8], width: usize, y: usize) -> &[u8] {
     &bytes[y * width..][..width]
 }
 
-/// Lets a row enter and one leave the contrast of each column, and says of each full window whether it has enough.
+/// Lets a row enter and one leave the contrast of each column, and says of each full window whether it has
+/// enough.
 fn texture(
     contrast: &mut [u16],
     enters: &[u8],

@@ -1,7 +1,7 @@
 //! The 5×5 census: for each pixel 24 bits, one for each neighbour that is darker.
 //!
-//! Invariant: the three bytes of a pixel lie in three planes, bits in a fixed order of the neighbours; a mirrored image
-//! with `mirrored` set gives the same bits mirrored.
+//! Invariant: the three bytes of a pixel lie in three planes, bits in a fixed order of the neighbours; a
+//! mirrored image with `mirrored` set gives the same bits mirrored.
 
 /// Pixels that a census reaches to each side.
 pub(crate) const REACH: usize = 2;

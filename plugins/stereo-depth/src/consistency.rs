@@ -1,6 +1,7 @@
 //! Left and right must agree: of pixels that claim the same partner only the cheapest is believed.
 //!
-//! Invariant: disparities are only taken away, never changed. The rule is that of OpenCV's `validateDisparity`.
+//! Invariant: disparities are only taken away, never changed. The rule is that of OpenCV's
+//! `validateDisparity`.
 
 use crate::disparity::{NONE, SCALE};
 use crate::rows::Found;

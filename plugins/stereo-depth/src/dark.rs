@@ -15,7 +15,8 @@ impl Dark {
         Dark { columns: vec![0; width] }
     }
 
-    /// Takes the disparity of each pixel that has one darker than `least` levels within `reach` px, in rows and columns.
+    /// Takes the disparity of each pixel that has one darker than `least` levels within `reach` px, in rows
+    /// and columns.
     pub(crate) fn leave_out(&mut self, grey: &[u8], least: u8, reach: usize, disparity: &mut [i16]) {
         let width = self.columns.len();
         let rows: usize = grey.len() / width.max(1);

@@ -31,13 +31,14 @@ impl Depth {
     }
 }
 
-/// Between the costs of the disparities one below, at and one above the best one, 1/16 px: two straight lines of
-/// opposite slope through them, which is the shape that sums of absolute differences have.
+/// Between the costs of the disparities one below, at and one above the best one, 1/16 px: two straight lines
+/// of opposite slope through them, which is the shape that sums of absolute differences have.
 #[inline(always)]
 pub(crate) fn between_lines(best: i32, below: i32, at: i32, above: i32) -> i16 {
     let (rise, width) = (below - above, (below - at).max(above - at));
-    // `rise` is at most `width` to both sides: at most half a pixel. Single precision is exact here and faster than a
-    // division of integers: a quotient of at most 8 by less than 2^16 is further than 2^-21 from a whole number, or on it.
+    // `rise` is at most `width` to both sides: at most half a pixel. Single precision is exact here and
+    // faster than a division of integers: a quotient of at most 8 by less than 2^16 is further than 2^-21
+    // from a whole number, or on it.
     let rounded = (rise * 8 + rise.signum() * width / 2) as f32 / width.max(1) as f32;
     let part = rounded as i32;
     (best * i32::from(SCALE) + part).max(0) as i16

@@ -1,4 +1,5 @@
-//! Depth from rectified stereo pairs: block matching and semi-global matching, and the component `stereo_depth`.
+//! Depth from rectified stereo pairs: block matching and semi-global matching, and the component
+//! `stereo_depth`.
 //!
 //! Invariant: disparities are the same bytes whichever instructions the processor has.
 #![deny(unsafe_code)]

@@ -1,6 +1,7 @@
 //! One matcher for images of one size: brightness, then block or semi-global matching.
 //!
-//! Invariant: `new` makes all memory; a run allocates nothing and gives the same disparities with and without AVX2.
+//! Invariant: `new` makes all memory; a run allocates nothing and gives the same disparities with and without
+//! AVX2.
 
 use trocar_imaging::luma_row;
 use trocar_imaging::simd::Avx2;
@@ -87,8 +88,8 @@ impl Matcher {
         &self.settings
     }
 
-    /// Matches a pair of GRAY8 or RGB8 images; disparities are row after row, 1/16 px, negative where nothing is known.
-    /// False, with nothing written, when a size or format is another one.
+    /// Matches a pair of GRAY8 or RGB8 images; disparities are row after row, 1/16 px, negative where nothing
+    /// is known. False, with nothing written, when a size or format is another one.
     #[must_use]
     pub fn run(&mut self, left: &ImageView<'_>, right: &ImageView<'_>, disparity: &mut [i16]) -> bool {
         let fits = |image: &ImageView<'_>| {

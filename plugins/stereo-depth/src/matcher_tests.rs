@@ -15,8 +15,8 @@ struct Scene {
 }
 
 impl Scene {
-    /// The right image is drawn; the left one looks up where its light comes from. `truth(x, y)` must not let the left
-    /// image fold over itself.
+    /// The right image is drawn; the left one looks up where its light comes from. `truth(x, y)` must not let
+    /// the left image fold over itself.
     fn of(width: usize, height: usize, seed: u64, truth: impl Fn(f64, f64) -> f64) -> Scene {
         let mut rng = fastrand::Rng::with_seed(seed);
         // Two sizes of detail, so that windows of any size see some.
@@ -71,8 +71,8 @@ impl Scene {
         map
     }
 
-    /// Of the pixels at least `rim` from every side and with a true partner in the right image: share known, share of
-    /// those wrong by more than 1 px, mean absolute error of the others in px.
+    /// Of the pixels at least `rim` from every side and with a true partner in the right image: share known,
+    /// share of those wrong by more than 1 px, mean absolute error of the others in px.
     fn judge(&self, map: &[i16], rim: usize) -> (f64, f64, f64) {
         let (mut asked, mut known, mut wrong, mut error) = (0, 0, 0, 0.0);
         for y in rim..self.height - rim {

@@ -1,7 +1,9 @@
-//! Gate B4: depth of tool and retina in pairs of the simulated eye, through the component, beside the truth of the phantom.
+//! Gate B4: depth of tool and retina in pairs of the simulated eye, through the component, beside the truth
+//! of the phantom.
 //!
-//! The microscope has a focal length `f` of 20 480 px, a baseline `B` of 5 mm and stands `Z` = 200 mm away: `dZ = Z² / (f B) · dd`
-//! makes 391 µm of one pixel of disparity and 24 µm of the 1/16 px in which it is told. So 100 µm are 0.26 px, 150 µm are 0.38 px.
+//! The microscope has a focal length `f` of 20 480 px, a baseline `B` of 5 mm and stands `Z` = 200 mm away:
+//! `dZ = Z² / (f B) · dd` makes 391 µm of one pixel of disparity and 24 µm of the 1/16 px in which it is
+//! told. So 100 µm are 0.26 px, 150 µm are 0.38 px.
 //!
 //! Steel has no texture. A matcher can hold on to the outline, and that of a shaft moves with its middle, not
 //! with the side that faces the camera: in both eyes it is the circle across the line of sight. Streaks on
@@ -108,8 +110,8 @@ impl View {
         self.rig.cameras[0].eye().z + median(taper.collect())
     }
 
-    /// From a tip at `tip_z` along the tool to the retina, m: the median of those pixels of the retina that lie nearest to where
-    /// the tool points, clear of the tool.
+    /// From a tip at `tip_z` along the tool to the retina, m: the median of those pixels of the retina that
+    /// lie nearest to where the tool points, clear of the tool.
     fn distance(&self, maps: &Maps, tip_z: f64) -> f64 {
         let camera = &self.rig.cameras[0];
         let retina: Vec<_> = maps

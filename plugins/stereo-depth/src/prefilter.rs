@@ -1,12 +1,13 @@
 //! The horizontal Sobel filter that makes block matching blind to brightness.
 //!
-//! Invariant: results are 0 to `2 * CAP`, `CAP` being no slope; outside of the image everything is like its rim.
+//! Invariant: results are 0 to `2 * CAP`, `CAP` being no slope; outside of the image everything is like its
+//! rim.
 
 /// Largest slope that counts.
 pub(crate) const CAP: i16 = 31;
 
-/// Filters one row of `rows` (above, itself, below) into `to`. Slopes are negated when `mirrored`, so that a mirrored
-/// image gives the mirrored result.
+/// Filters one row of `rows` (above, itself, below) into `to`. Slopes are negated when `mirrored`, so that a
+/// mirrored image gives the mirrored result.
 #[inline(always)]
 pub(crate) fn sobel_row(rows: [&[u8]; 3], mirrored: bool, to: &mut [u8]) {
     let width = to.len();

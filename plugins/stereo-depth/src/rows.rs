@@ -18,13 +18,14 @@ impl Found {
     pub(crate) const NOTHING: Found = Found { disparity: NONE, cost: u16::MAX };
 }
 
-/// Bytes that a row of a mirrored right image has behind its end, so that every disparity of every pixel can be read.
+/// Bytes that a row of a mirrored right image has behind its end, so that every disparity of every pixel can
+/// be read.
 pub(crate) const fn margin(n_disp: usize) -> usize {
     n_disp + 32
 }
 
-/// One row of block matching: the row that enters the windows and the one that leaves them, left image first, the right
-/// one mirrored and with a [`margin`].
+/// One row of block matching: the row that enters the windows and the one that leaves them, left image first,
+/// the right one mirrored and with a [`margin`].
 pub(crate) struct BlockRow<'a> {
     pub(crate) enters: [&'a [u8]; 2],
     pub(crate) leaves: [&'a [u8]; 2],
@@ -34,7 +35,8 @@ pub(crate) struct BlockRow<'a> {
     pub(crate) uniqueness: u8,
 }
 
-/// One row of semi-global matching: the census planes of both images, the right one mirrored and with a [`margin`].
+/// One row of semi-global matching: the census planes of both images, the right one mirrored and with a
+/// [`margin`].
 pub(crate) struct CensusRow<'a> {
     pub(crate) left: [&'a [u8]; 3],
     pub(crate) right: [&'a [u8]; 3],
@@ -49,8 +51,8 @@ pub(crate) fn rival_limit(least: u16, uniqueness: u8) -> u16 {
     limit.min(u32::from(u16::MAX) - 1) as u16
 }
 
-/// The best of `sums`, one for each disparity; the smallest disparity where several are best. Nothing where another one
-/// that is no neighbour costs at most `uniqueness` % more (0: not asked).
+/// The best of `sums`, one for each disparity; the smallest disparity where several are best. Nothing where
+/// another one that is no neighbour costs at most `uniqueness` % more (0: not asked).
 pub(crate) fn pick(sums: &[u16], uniqueness: u8) -> Found {
     let Some((best, &least)) = sums.iter().enumerate().min_by_key(|(_, sum)| **sum) else {
         return Found::NOTHING;
@@ -65,7 +67,8 @@ pub(crate) fn pick(sums: &[u16], uniqueness: u8) -> Found {
     found(best, least, below, sums.get(best + 1).copied())
 }
 
-/// The best disparity between its neighbours; at an end of the range a missing neighbour is like the other one.
+/// The best disparity between its neighbours; at an end of the range a missing neighbour is like the other
+/// one.
 #[inline(always)]
 pub(crate) fn found(best: usize, least: u16, below: Option<u16>, above: Option<u16>) -> Found {
     let below_or = below.or(above).unwrap_or(least);

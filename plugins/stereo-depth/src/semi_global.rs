@@ -1,8 +1,9 @@
 //! Semi-global matching: census costs, added up along five paths with penalties for steps of the disparity.
 //!
-//! Invariant: a cost along a path is at most 24 + `p2`, which fits seven bits; rows are worked on once, from the top.
-//! Source: Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008. The paths are from
-//! the left, the right, above and both diagonals above: those that one pass down the image has.
+//! Invariant: a cost along a path is at most 24 + `p2`, which fits seven bits; rows are worked on once, from
+//! the top. Source: Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI
+//! 2008. The paths are from the left, the right, above and both diagonals above: those that one pass down the
+//! image has.
 
 #[path = "semi_global/plain.rs"]
 mod plain;
@@ -66,7 +67,8 @@ impl SemiGlobal {
         }
     }
 
-    /// Matches grey images with touching rows; `mirrored` is the right one, mirrored. Disparities are 1/16 px.
+    /// Matches grey images with touching rows; `mirrored` is the right one, mirrored. Disparities are 1/16
+    /// px.
     pub(crate) fn run(&mut self, left: &[u8], mirrored: &[u8], disparity: &mut [i16]) {
         let Settings { p1, p2, uniqueness, consistency, n_disp, .. } = self.settings;
         let (width, height) = (self.width, self.height);

@@ -1,7 +1,7 @@
 //! The door to AVX2: memory moved in vectors, and the calls of functions that need it.
 //!
-//! Invariant: an [`Avx2`] proves that the processor has the instructions; memory is read and written through references
-//! to exactly the bytes that are moved.
+//! Invariant: an [`Avx2`] proves that the processor has the instructions; memory is read and written through
+//! references to exactly the bytes that are moved.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -107,7 +107,8 @@ pub(crate) fn copy_row(lanes: Option<Avx2>, from: &[u8], mirrored: bool, to: &mu
     mirror(from, to);
 }
 
-/// One row of block matching over `32 * vectors` disparities; `columns` has two blocks for each pixel and vector.
+/// One row of block matching over `32 * vectors` disparities; `columns` has two blocks for each pixel and
+/// vector.
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn block_row(
     _: Avx2,

@@ -1,7 +1,7 @@
 //! Choosing the best disparity from vectors of sums, with AVX2.
 //!
-//! Invariant: sums lie as `unpack` of bytes leaves them: of each 32 disparities the first vector has 0–7 and 16–23, the
-//! second 8–15 and 24–31; `packs` puts them in order again. Results are those of `rows::pick`.
+//! Invariant: sums lie as `unpack` of bytes leaves them: of each 32 disparities the first vector has 0–7 and
+//! 16–23, the second 8–15 and 24–31; `packs` puts them in order again. Results are those of `rows::pick`.
 
 use core::arch::x86_64::*;
 use core::hint::select_unpredictable;
@@ -55,7 +55,8 @@ pub(crate) fn pick<const NV: usize>(sums: &Sums<NV>, most: usize, uniqueness: u8
     let least_all = _mm256_broadcastw_epi16(least);
     let least = _mm_cvtsi128_si32(least) as u16;
 
-    // Where a sum is the limit or less, `packs` leaves a zero: every other 16-bit number becomes one that is not.
+    // Where a sum is the limit or less, `packs` leaves a zero: every other 16-bit number becomes one that is
+    // not.
     let zero = _mm256_setzero_si256();
     let zeros = |a: __m256i, b: __m256i| {
         _mm256_movemask_epi8(_mm256_cmpeq_epi8(_mm256_packs_epi16(a, b), zero)) as u32

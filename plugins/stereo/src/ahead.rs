@@ -1,7 +1,7 @@
 //! What threads do for the simulated source before it is due: the picture at rest, and pairs without a tool.
 //!
-//! Invariant: a bare pair is a function of its stamp and number, so it is the same whoever draws it, and when. The step neither
-//! waits nor wakes: it asks, and later takes what is there.
+//! Invariant: a bare pair is a function of its stamp and number, so it is the same whoever draws it, and
+//! when. The step neither waits nor wakes: it asks, and later takes what is there.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,8 +15,8 @@ use trocar_phantom::camera::Rig;
 use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::prelude::*;
 
-/// Buffers that go round. With one there is no wish while an earlier one is not fulfilled: on a busy machine, where the step draws
-/// what is late itself, nothing piles up.
+/// Buffers that go round. With one there is no wish while an earlier one is not fulfilled: on a busy machine,
+/// where the step draws what is late itself, nothing piles up.
 const BUFFERS: usize = 1;
 /// How often the thread looks whether it is asked, once a wish may come.
 const LOOKS: Duration = Duration::from_millis(1);
@@ -97,7 +97,8 @@ impl Ahead {
     }
 }
 
-/// When wishes come: each look is a timer that interrupts whoever runs there, so there are few while there is none to come.
+/// When wishes come: each look is a timer that interrupts whoever runs there, so there are few while there is
+/// none to come.
 #[derive(Default)]
 struct Beat {
     /// Stamp, ns, and number of the wish before.
@@ -105,8 +106,8 @@ struct Beat {
 }
 
 impl Beat {
-    /// How long after this wish there is certainly no other one: most of the time between two frames. Wishes that were left out
-    /// count by their numbers.
+    /// How long after this wish there is certainly no other one: most of the time between two frames. Wishes
+    /// that were left out count by their numbers.
     fn quiet_after(&mut self, wish: &Bare) -> Duration {
         let now = (wish.stamp.ns(), wish.number);
         let Some(before) = self.before.replace(now) else { return Duration::ZERO };

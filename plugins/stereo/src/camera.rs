@@ -1,6 +1,7 @@
 //! `camera`: a camera of this machine, through Video4Linux.
 //!
-//! Invariant: the device is open between Start and Stop only; one that fails or is unplugged is told, and looked for again.
+//! Invariant: the device is open between Start and Stop only; one that fails or is unplugged is told, and
+//! looked for again.
 
 use std::time::Duration;
 
@@ -26,8 +27,8 @@ struct CameraConfig {
     /// How pixels lie in memory; `mjpg`: the camera sends JPEGs, which become RGB8
     #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv", "mjpg"], default = "yuyv")]
     format: String,
-    /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide; `stacked`: the left
-    /// image above the right one
+    /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide;
+    /// `stacked`: the left image above the right one
     #[config(one_of = ["mono", "side_by_side", "stacked"], default = "mono")]
     layout: String,
     /// From the exposure to the last byte, where it is known: stamps are that much before the arrival

@@ -1,7 +1,8 @@
 //! Frames from a thread that waits for a device to the component's step, without a lock.
 //!
-//! Invariant: the step takes what is there and never waits; buffers go round and are never freed on its side. The thread ends with
-//! its `Feed`, and with it whatever the device is. A device that fails is told, and opened again where that is asked for.
+//! Invariant: the step takes what is there and never waits; buffers go round and are never freed on its side.
+//! The thread ends with its `Feed`, and with it whatever the device is. A device that fails is told, and
+//! opened again where that is asked for.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
@@ -52,7 +53,8 @@ pub(crate) struct Feed {
 }
 
 impl Feed {
-    /// Opens the device and begins to take frames of `bytes` each. `again` says when a failed device is opened again.
+    /// Opens the device and begins to take frames of `bytes` each. `again` says when a failed device is
+    /// opened again.
     ///
     /// # Errors
     /// As [`Source::open`].
@@ -149,8 +151,8 @@ impl Giver {
         self.spare.as_deref_mut().unwrap_or_default()
     }
 
-    /// Hands on what [`Giver::room`] holds, taken `delay_s` ago. Where the step has not given a buffer back, the frame is
-    /// lost, and its number with it.
+    /// Hands on what [`Giver::room`] holds, taken `delay_s` ago. Where the step has not given a buffer back,
+    /// the frame is lost, and its number with it.
     pub(crate) fn give(&mut self, delay_s: f64) {
         let number = self.number;
         self.number += 1;

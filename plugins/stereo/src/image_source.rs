@@ -1,6 +1,7 @@
 //! `image_source`: plays stereo pairs of a folder, again and again, at the rate of its execution.
 //!
-//! Invariant: an index is used up whether or not its pair could be sent, so a reader sees every pair that is missing.
+//! Invariant: an index is used up whether or not its pair could be sent, so a reader sees every pair that is
+//! missing.
 
 use std::path::Path;
 
@@ -14,7 +15,8 @@ const SLOTS: u32 = 6;
 
 #[derive(Config)]
 pub(crate) struct ImageSourceConfig {
-    /// Folder with left*/right* PNG or JPEG files, read when configured; relative to the directory the host runs in
+    /// Folder with left*/right* PNG or JPEG files, read when configured; relative to the directory the host
+    /// runs in
     directory: String,
     /// `as_stored` is GRAY8 when every file is grey, else RGB8
     #[config(one_of = ["as_stored", "rgb8"], default = "as_stored")]

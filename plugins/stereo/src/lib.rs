@@ -1,7 +1,8 @@
-//! Stereo image sources. `image_source`: pairs of picture files at a set rate. `phantom_source`: pairs of the simulated eye.
-//! `pipe_source`: raw frames of a child process. `camera`: a camera of this machine.
+//! Stereo image sources. `image_source`: pairs of picture files at a set rate. `phantom_source`: pairs of the
+//! simulated eye. `pipe_source`: raw frames of a child process. `camera`: a camera of this machine.
 //!
-//! Invariant: files are read and decoded when a source is configured, devices are opened when it starts; a step only hands on.
+//! Invariant: files are read and decoded when a source is configured, devices are opened when it starts; a
+//! step only hands on.
 #![forbid(unsafe_code)]
 
 mod ahead;

@@ -1,7 +1,8 @@
-//! What the sources of real frames share: from a feed's frame to the output, and from its trouble to the operating state.
+//! What the sources of real frames share: from a feed's frame to the output, and from its trouble to the
+//! operating state.
 //!
-//! Invariant: a device's trouble is the device's: the component stays ACTIVE, says FAULT with the reason, and goes on when
-//! frames come again.
+//! Invariant: a device's trouble is the device's: the component stays ACTIVE, says FAULT with the reason, and
+//! goes on when frames come again.
 
 use trocar_sdk::data::{CameraGeometry, OperatingMode, OperatingState, StereoHeader};
 use trocar_sdk::prelude::*;

@@ -1,11 +1,13 @@
-//! Colour rows as a sensor sends them: as they are, as the mosaic of its colour filters, or as brightness and colour.
+//! Colour rows as a sensor sends them: as they are, as the mosaic of its colour filters, or as brightness and
+//! colour.
 //!
 //! Invariant: a row has an even number of pixels, and no byte outside of it is touched.
 
 use trocar_sdk::data::PixelFormat;
 
-/// Writes row `y` of red, green, blue pixels as `format`. BAYER_RG8 has red at (0, 0) and blue at (1, 1). YUYV is 4:2:2 after
-/// ITU-R BT.601 (16 to 235), the colour of two pixels being their mean. Other formats are left alone.
+/// Writes row `y` of red, green, blue pixels as `format`. BAYER_RG8 has red at (0, 0) and blue at (1, 1).
+/// YUYV is 4:2:2 after ITU-R BT.601 (16 to 235), the colour of two pixels being their mean. Other formats are
+/// left alone.
 pub(crate) fn write(format: PixelFormat, y: usize, rgb: &[u8], to: &mut [u8]) {
     let pairs = rgb.as_chunks::<6>().0;
     match format {

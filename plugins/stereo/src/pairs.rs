@@ -1,7 +1,7 @@
 //! Stereo pairs from a folder: `left*` and `right*` PNG or JPEG files, decoded once into memory.
 //!
-//! Invariant: all pairs that were loaded have one size and one pixel format; a folder that cannot give that is refused
-//! whole, with the file that is wrong.
+//! Invariant: all pairs that were loaded have one size and one pixel format; a folder that cannot give that
+//! is refused whole, with the file that is wrong.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 
 use image::{ColorType, DynamicImage, ImageReader};
 
-/// Decoded pictures may take this many bytes together, so that a wrong folder cannot exhaust the machine's memory.
+/// Decoded pictures may take this many bytes together, so that a wrong folder cannot exhaust the machine's
+/// memory.
 pub const MAX_BYTES: usize = 2 << 30;
 
 /// Pixel format of loaded pictures.

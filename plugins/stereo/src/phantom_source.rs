@@ -1,8 +1,8 @@
 //! `phantom_source`: stereo pairs of the simulated eye.
 //!
-//! Invariant: an index is used up whether or not its pair could be sent; a pair is that of its stamp: the world's time is the
-//! stamp, which is never in the future, and the tool stands where its last sample says it is by then. What is drawn ahead is what
-//! would have been drawn.
+//! Invariant: an index is used up whether or not its pair could be sent; a pair is that of its stamp: the
+//! world's time is the stamp, which is never in the future, and the tool stands where its last sample says it
+//! is by then. What is drawn ahead is what would have been drawn.
 
 use nalgebra::{Point3, Vector3};
 use trocar_phantom::World;
@@ -61,7 +61,8 @@ pub struct PhantomSource {
     /// One pair per step
     #[output]
     image: Out<Frame<StereoHeader>>,
-    /// True disparity of the left image: GRAY16, px · 256, 0 where the right eye does not see what the left one does.
+    /// True disparity of the left image: GRAY16, px · 256, 0 where the right eye does not see what the left
+    /// one does.
     #[output(tag = "truth")]
     disparity: Out<Frame<ImageHeader>>,
     /// Pairs not sent since Start.
@@ -184,7 +185,8 @@ impl Component for PhantomSource {
             self.disparity.reserve(2 * width * height, SLOTS)?;
             self.units = vec![0; width * height];
         }
-        // Tracing takes some tenths of a second, so what is the same is kept, and the rest is waited for when it is needed.
+        // Tracing takes some tenths of a second, so what is the same is kept, and the rest is waited for when
+        // it is needed.
         if self.made_of != Some((world, rig)) {
             (self.renderer, self.made_of) = (None, None);
             self.tracing = Some(Tracing::begin(&format!("{} trace", self.own_name()), world, rig)?);

@@ -57,7 +57,8 @@ fn pairs_drawn_ahead_are_those_of_their_stamp_and_none_is_of_the_future() {
         let mut bench = bench(more);
         let renderer = &mut Renderer::new(World::named("default", 1).unwrap(), Rig::rectified(64, 48));
         let mut watchdog = crate::watchdog::Watchdog::of("pairs are drawn ahead");
-        // Between two pairs of a camera there is time to draw; here there is as much as this machine needs for it.
+        // Between two pairs of a camera there is time to draw; here there is as much as this machine needs
+        // for it.
         let mut between = std::time::Duration::from_micros(100);
         while bench.state().drawn_ahead < 8 {
             let before = bench.state().drawn_ahead;

@@ -1,6 +1,7 @@
 //! `pipe_source`: raw frames from the standard output of a child process, such as ffmpeg or GStreamer.
 //!
-//! Invariant: the child runs between Start and Stop and not a moment longer, also when the host is killed; what it does, and why it ended, is told in the operating state.
+//! Invariant: the child runs between Start and Stop and not a moment longer, also when the host is killed;
+//! what it does, and why it ended, is told in the operating state.
 
 use std::time::Duration;
 
@@ -14,7 +15,8 @@ use crate::live::{Live, Sent, live};
 
 #[derive(Config)]
 struct PipeSourceConfig {
-    /// Program and arguments, one by one; no shell looks at them. Its output is frames without anything between them
+    /// Program and arguments, one by one; no shell looks at them. Its output is frames without anything
+    /// between them
     command: Vec<String>,
     /// Pixels in a row of one image
     #[config(min = 1, max = 16384, unit = "px")]
@@ -25,8 +27,8 @@ struct PipeSourceConfig {
     /// How pixels lie in memory
     #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv"], default = "rgb8")]
     format: String,
-    /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide; `stacked`: the left
-    /// image above the right one
+    /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide;
+    /// `stacked`: the left image above the right one
     #[config(one_of = ["mono", "side_by_side", "stacked"], default = "mono")]
     layout: String,
     /// From the exposure to the last byte, where it is known: stamps are that much before the arrival
@@ -46,8 +48,8 @@ struct PipeSourceConfig {
     restart_delay_max_s: f64,
 }
 
-/// Runs a program that writes raw frames, and sends each of them. With ffmpeg: `["ffmpeg", "-loglevel", "error", "-i",
-/// "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]`.
+/// Runs a program that writes raw frames, and sends each of them. With ffmpeg: `["ffmpeg", "-loglevel",
+/// "error", "-i", "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]`.
 #[derive(Component)]
 #[component(model = "stream", rate_hz = 250, safety = "sensor", hardware, starts_programs)]
 pub struct PipeSource {

@@ -120,7 +120,8 @@ fn waits_before_a_restart_double_and_are_told() {
     let more = r#", "restart_delay_s": 0.5, "restart_delay_max_s": 1.5"#;
     let mut bench = Bench::<PipeSource>::new(config("exit 1", more));
     let mut waits = Vec::new();
-    // A program that took longer to end than the wait before it begins anew: on a busy machine that may happen once.
+    // A program that took longer to end than the wait before it begins anew: on a busy machine that may
+    // happen once.
     until(&mut bench, "a second, longer wait", |bench| {
         let wait_s = bench.state().restart_in_s;
         if wait_s > 0.0 && waits.last() != Some(&wait_s) {

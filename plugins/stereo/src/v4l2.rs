@@ -1,7 +1,7 @@
 //! A camera of this machine, through Video4Linux.
 //!
-//! Invariant: what the driver gives is what was configured, or the camera is not taken: no size or format is changed
-//! silently. The driver is never waited for but in `poll`.
+//! Invariant: what the driver gives is what was configured, or the camera is not taken: no size or format is
+//! changed silently. The driver is never waited for but in `poll`.
 
 use std::io::Cursor;
 use std::os::fd::AsFd;

@@ -1,12 +1,13 @@
-//! Times the filters on raw images and writes what they make, for `tests/bench/peers/vision.py`, which has OpenCV do the
-//! same.
+//! Times the filters on raw images and writes what they make, for `tests/bench/peers/vision.py`, which has
+//! OpenCV do the same.
 //!
 //! Invariant: one thread; reads and writes plain bytes only; one JSON line for each filter.
 //!
 //! ```text
 //! filters_bench ROUNDS RGB SENSOR YUYV WIDTH HEIGHT CALIBRATION OUT
 //! ```
-//! `RGB`, `SENSOR` (BAYER_RG8) and `YUYV` are images of `WIDTH` × `HEIGHT`; `OUT` is the beginning of the names of results.
+//! `RGB`, `SENSOR` (BAYER_RG8) and `YUYV` are images of `WIDTH` × `HEIGHT`; `OUT` is the beginning of the
+//! names of results.
 
 use std::path::Path;
 use std::time::Instant;

@@ -28,8 +28,8 @@ impl To {
     }
 }
 
-/// Converts a row; false when there is no way from this format. YUYV rows have an even number of pixels; of an odd one
-/// the last pixel takes the colour of the one before.
+/// Converts a row; false when there is no way from this format. YUYV rows have an even number of pixels; of
+/// an odd one the last pixel takes the colour of the one before.
 #[must_use]
 pub fn convert_row(from: PixelFormat, src: &[u8], to: To, dst: &mut [u8]) -> bool {
     match (from, to) {

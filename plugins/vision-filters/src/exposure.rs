@@ -9,7 +9,8 @@ use crate::view::ViewMut;
 pub struct Curve([u8; 256]);
 
 impl Curve {
-    /// out = 255 · (gain · in / 255 + offset) ^ (1 / gamma), cut to 0 … 255. `gain` is at least 0, `gamma` above 0.
+    /// out = 255 · (gain · in / 255 + offset) ^ (1 / gamma), cut to 0 … 255. `gain` is at least 0, `gamma`
+    /// above 0.
     pub fn new(gain: f64, offset: f64, gamma: f64) -> Self {
         Curve(core::array::from_fn(|level| {
             let light = (gain * level as f64 / 255.0 + offset).clamp(0.0, 1.0);

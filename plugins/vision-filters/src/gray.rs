@@ -1,6 +1,7 @@
 //! Colour to brightness after ITU-R BT.601: Y = 0.299 R + 0.587 G + 0.114 B, with integer weights.
 //!
-//! Invariant: the weights add to 256 and the sum fits 16 bits, so black stays 0, white stays 255, grey stays itself.
+//! Invariant: the weights add to 256 and the sum fits 16 bits, so black stays 0, white stays 255, grey stays
+//! itself.
 
 use trocar_imaging::luma_row;
 use trocar_imaging::simd::Avx2;
@@ -9,8 +10,8 @@ pub use trocar_imaging::luma;
 
 use crate::view::{Format, View, ViewMut};
 
-/// Writes one row of pixels of one format as another: brightness of colours, or brightness in all three colours.
-/// The shorter of the two rows decides how many pixels.
+/// Writes one row of pixels of one format as another: brightness of colours, or brightness in all three
+/// colours. The shorter of the two rows decides how many pixels.
 pub fn convert_row(from: Format, src: &[u8], to: Format, dst: &mut [u8]) {
     match (from, to) {
         (Format::Rgb8, Format::Gray8) => luma_row(Avx2::detect(), src, dst),

@@ -1,5 +1,5 @@
-//! Image filters on stereo frames: `rectify`, `debayer`, `color`, `gray`, `resize`, `crop`, `flip`, `exposure`, `overlay`, `pip`
-//! (picture in picture).
+//! Image filters on stereo frames: `rectify`, `debayer`, `color`, `gray`, `resize`, `crop`, `flip`,
+//! `exposure`, `overlay`, `pip` (picture in picture).
 //!
 //! Invariant: pixels are touched only through `view`, which has checked that every row lies inside its bytes.
 #![deny(unsafe_code)]

@@ -22,8 +22,8 @@ pub struct Picture {
     pub rgba: Vec<u8>,
 }
 
-/// Writes one line of text with the upper left corner at (`x`, `y`) px, letters `size` px high (the nearest of [`SIZES`]).
-/// Letters outside of Latin-1 become `?`.
+/// Writes one line of text with the upper left corner at (`x`, `y`) px, letters `size` px high (the nearest
+/// of [`SIZES`]). Letters outside of Latin-1 become `?`.
 pub fn text(image: &mut ViewMut<'_>, (x, y): (i64, i64), size: u32, color: Color, text: &str) {
     for letter in letters(text, size) {
         let left = x + letter.left as i64;

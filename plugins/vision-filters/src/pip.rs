@@ -1,7 +1,7 @@
 //! Picture in picture: lays a small image into a big one.
 //!
-//! Invariant: wherever the inset is asked to go, only pixels of the big image are written, and as much of the inset as
-//! fits is visible.
+//! Invariant: wherever the inset is asked to go, only pixels of the big image are written, and as much of the
+//! inset as fits is visible.
 
 use crate::gray::{convert_row, luma};
 use crate::overlay::mix;
@@ -20,8 +20,8 @@ pub struct Rect {
     pub height: usize,
 }
 
-/// Where an inset of `inset` (width, height) pixels goes when asked to start at (`x`, `y`) of a `big` image: moved so
-/// that it fits; cut to the big image's size when it is larger.
+/// Where an inset of `inset` (width, height) pixels goes when asked to start at (`x`, `y`) of a `big` image:
+/// moved so that it fits; cut to the big image's size when it is larger.
 pub fn place(x: i64, y: i64, inset: (usize, usize), big: (usize, usize)) -> Rect {
     let side = |at: i64, size: usize, room: usize| {
         let size = size.min(room);
@@ -31,8 +31,8 @@ pub fn place(x: i64, y: i64, inset: (usize, usize), big: (usize, usize)) -> Rect
     Rect { x, y, width, height }
 }
 
-/// Lays `inset` into `big` with its upper left corner asked to be at (`x`, `y`); formats are converted. Of 255 parts
-/// `part` are the inset's, the others those of what is below. Returns the pixels covered.
+/// Lays `inset` into `big` with its upper left corner asked to be at (`x`, `y`); formats are converted. Of
+/// 255 parts `part` are the inset's, the others those of what is below. Returns the pixels covered.
 pub fn lay(inset: &View<'_>, big: &mut ViewMut<'_>, x: i64, y: i64, part: u32) -> Rect {
     let (from, to) = (inset.shape(), big.shape());
     let rect = place(x, y, (from.width, from.height), (to.width, to.height));

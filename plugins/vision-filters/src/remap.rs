@@ -1,7 +1,8 @@
 //! Remapping of images by precomputed maps, in fixed point: each output pixel is made of four input pixels.
 //!
-//! Invariant: positions are in 1/32 px and weights exact, so results are those of OpenCV's `remap` with fixed-point maps:
-//! what lies outside of the input counts as black. A pixel of an inside span reads only bytes of the input.
+//! Invariant: positions are in 1/32 px and weights exact, so results are those of OpenCV's `remap` with
+//! fixed-point maps: what lies outside of the input counts as black. A pixel of an inside span reads only
+//! bytes of the input.
 
 use crate::simd::{self, Avx2};
 use crate::view::{Format, Shape, View, ViewMut};
@@ -47,7 +48,8 @@ pub struct Remap {
 }
 
 impl Remap {
-    /// A map from `source(column, row)`, px of the input; not a number means nowhere. Sides are at most 16 384 px.
+    /// A map from `source(column, row)`, px of the input; not a number means nowhere. Sides are at most 16
+    /// 384 px.
     pub fn new(width: usize, height: usize, source: impl Fn(f64, f64) -> (f64, f64)) -> Self {
         let mut map = Remap {
             width,
@@ -117,7 +119,8 @@ impl Remap {
         self
     }
 
-    /// Remaps `src` into `dst`. False, with `dst` untouched, when a size is another one or the formats differ.
+    /// Remaps `src` into `dst`. False, with `dst` untouched, when a size is another one or the formats
+    /// differ.
     #[must_use]
     pub fn run(&self, src: &View<'_>, dst: &mut ViewMut<'_>) -> bool {
         let Shape { width, height, .. } = src.shape();

@@ -1,7 +1,8 @@
 //! Resizing: bilinear between pixels, or the mean of the covered area.
 //!
-//! Invariant: the weights of one output pixel add to exactly 2²³ (2¹² down the columns, 2¹¹ along the rows), so a flat
-//! image stays flat and 32 bits never overflow. A [`Resizer`] allocates when it is made, never when it is prepared or runs.
+//! Invariant: the weights of one output pixel add to exactly 2²³ (2¹² down the columns, 2¹¹ along the rows),
+//! so a flat image stays flat and 32 bits never overflow. A [`Resizer`] allocates when it is made, never when
+//! it is prepared or runs.
 
 use crate::view::{Format, Shape, View, ViewMut};
 
@@ -31,7 +32,8 @@ pub struct Resizer {
 }
 
 impl Resizer {
-    /// Prepares for `width` × `height` pixels out of images of shape `from`, in the same format. A size of 0 is taken as 1.
+    /// Prepares for `width` × `height` pixels out of images of shape `from`, in the same format. A size of 0
+    /// is taken as 1.
     pub fn new(from: Shape, width: usize, height: usize, method: Method) -> Self {
         let side = |a: usize, b: usize| a.max(b).max(1);
         let mut resizer = Resizer::with_room(side(from.width, from.height), side(width, height));
@@ -39,8 +41,8 @@ impl Resizer {
         resizer
     }
 
-    /// One that can be [prepared](Self::prepare) without allocating: for images whose sides are up to `from_side` px, and
-    /// results whose sides are up to `to_side` px.
+    /// One that can be [prepared](Self::prepare) without allocating: for images whose sides are up to
+    /// `from_side` px, and results whose sides are up to `to_side` px.
     pub fn with_room(from_side: usize, to_side: usize) -> Self {
         let nothing = Shape { width: 1, height: 1, format: Format::Gray8 };
         Resizer {
@@ -58,8 +60,8 @@ impl Resizer {
         self.room
     }
 
-    /// Prepares anew, as [`new`](Self::new), within the room there is; allocates nothing. False, with nothing changed, when
-    /// a side is longer.
+    /// Prepares anew, as [`new`](Self::new), within the room there is; allocates nothing. False, with nothing
+    /// changed, when a side is longer.
     #[must_use]
     pub fn prepare(&mut self, from: Shape, width: usize, height: usize, method: Method) -> bool {
         let fits = from.width.max(from.height) <= self.room.0 && width.max(height) <= self.room.1;
@@ -88,8 +90,8 @@ impl Resizer {
         self.to
     }
 
-    /// Resizes `src` into `dst`. False, with `dst` untouched, when their shapes are not [`from`](Self::from) and
-    /// [`to`](Self::to).
+    /// Resizes `src` into `dst`. False, with `dst` untouched, when their shapes are not [`from`](Self::from)
+    /// and [`to`](Self::to).
     #[must_use]
     pub fn run(&mut self, src: &View<'_>, dst: &mut ViewMut<'_>) -> bool {
         if src.shape() != self.from || dst.shape() != self.to {

@@ -1,6 +1,7 @@
 //! Remapping with AVX2.
 //!
-//! Invariant: an [`Avx2`] proves that the processor has the instructions; memory is read through checked slices only.
+//! Invariant: an [`Avx2`] proves that the processor has the instructions; memory is read through checked
+//! slices only.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -10,8 +11,8 @@ pub(crate) use trocar_imaging::simd::Avx2;
 
 use crate::remap::Tap;
 
-/// Makes RGB pixels of `taps`, all of them inside of `bytes`, rows of which begin every `stride` bytes. Says how many
-/// were made: whole fours, and none where a tap is not inside after all.
+/// Makes RGB pixels of `taps`, all of them inside of `bytes`, rows of which begin every `stride` bytes. Says
+/// how many were made: whole fours, and none where a tap is not inside after all.
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn remap_rgb(_: Avx2, bytes: &[u8], stride: usize, taps: &[Tap], to: &mut [u8]) -> usize {
     // SAFETY: an `Avx2` exists only where the processor has AVX2.
@@ -26,7 +27,8 @@ pub(crate) fn remap_rgb(_: Avx2, _: &[u8], _: usize, _: &[Tap], _: &mut [u8]) ->
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn remap_rgb_avx2(bytes: &[u8], stride: usize, taps: &[Tap], to: &mut [u8]) -> usize {
-    // Of two pixels above and two below: all four reds, greens, blues; each left above, right above, left below, …
+    // Of two pixels above and two below: all four reds, greens, blues; each left above, right above, left
+    // below, …
     let z = -1i8;
     let gather =
         _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 3, 8, 11, 1, 4, 9, 12, 2, 5, 10, 13, z, z, z, z));

@@ -1,7 +1,7 @@
 //! Images that the filters work on, to read and to write: grey ones and coloured ones.
 //!
-//! Invariant: a view that exists covers `height` rows of `width` pixels inside its bytes, as `ImageHeader::image` has checked;
-//! rows never panic.
+//! Invariant: a view that exists covers `height` rows of `width` pixels inside its bytes, as
+//! `ImageHeader::image` has checked; rows never panic.
 
 use std::fmt;
 
@@ -168,7 +168,8 @@ impl<'a> ViewMut<'a> {
         &mut self.bytes[start..start + self.shape.row_bytes()]
     }
 
-    /// Two rows at once, `above` before `below`; empty ones when they are not in this order or not in the image.
+    /// Two rows at once, `above` before `below`; empty ones when they are not in this order or not in the
+    /// image.
     pub(crate) fn two_rows_mut(&mut self, above: usize, below: usize) -> (&mut [u8], &mut [u8]) {
         if above >= below || below >= self.shape.height {
             return (&mut [], &mut []);

@@ -1,4 +1,5 @@
-//! Rectification of the simulated microscope's toed-in images by the calibration that is kept for them, against the truth.
+//! Rectification of the simulated microscope's toed-in images by the calibration that is kept for them,
+//! against the truth.
 //!
 //! Invariant: the file was written by the phantom's example `toed_in_calibration`; it says what the rig is.
 #![allow(clippy::unwrap_used)]

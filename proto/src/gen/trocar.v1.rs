@@ -79,7 +79,7 @@ pub struct StructType {
     /// The type's name.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it means.
+    /// Documentation: its meaning.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// Size in bytes, no padding inside.
@@ -107,14 +107,14 @@ pub struct FieldInfo {
     /// Unit, e.g. "m", "rad/s"; empty = none.
     #[prost(string, tag = "4")]
     pub unit: ::prost::alloc::string::String,
-    /// What it means.
+    /// Documentation: its meaning.
     #[prost(string, tag = "5")]
     pub doc: ::prost::alloc::string::String,
     /// Coordinate frame of a pose; empty = none.
     #[prost(string, tag = "6")]
     pub frame: ::prost::alloc::string::String,
 }
-/// What travels through an input or output.
+/// Type of the data that travels through an input or output.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct PortType {
     /// The kind of port.
@@ -132,7 +132,7 @@ pub mod port_type {
         /// Frames: a header and bytes.
         #[prost(message, tag = "2")]
         Frame(super::FrameType),
-        /// True: takes the type of what it is connected to.
+        /// True: takes the type of the port it is connected to.
         #[prost(bool, tag = "3")]
         Any(bool),
     }
@@ -156,10 +156,10 @@ pub struct Input {
     /// Name, unique among the component's ports.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it is for.
+    /// Documentation: its purpose.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
-    /// What it takes.
+    /// Type of the data it takes.
     #[prost(message, optional, tag = "3")]
     pub r#type: ::core::option::Option<PortType>,
     /// True: the component can be started without it.
@@ -178,16 +178,17 @@ pub struct Output {
     /// Name, unique among the component's ports.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it carries.
+    /// Documentation: its content.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
-    /// What it gives.
+    /// Type of the data it gives.
     #[prost(message, optional, tag = "3")]
     pub r#type: ::core::option::Option<PortType>,
     /// "truth" or "sim": who may take it is checked at Connect; empty = no tag.
     #[prost(string, tag = "4")]
     pub tag: ::prost::alloc::string::String,
-    /// Every component has it without any code: what the component does, for recorders. Costs nothing unless connected.
+    /// Every component has it without any code: a tap of its activity, for recorders. Costs nothing unless
+    /// connected.
     #[prost(bool, tag = "5")]
     pub tap: bool,
 }
@@ -197,16 +198,16 @@ pub struct ProvidedInterface {
     /// Name, unique among the component's ports.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it is for.
+    /// Documentation: its purpose.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// "truth" or "sim": who may be connected to it is checked at Connect; empty = no tag.
     #[prost(string, tag = "3")]
     pub tag: ::prost::alloc::string::String,
-    /// What can be called.
+    /// Commands that can be called.
     #[prost(message, repeated, tag = "4")]
     pub commands: ::prost::alloc::vec::Vec<Command>,
-    /// What it broadcasts.
+    /// Events it broadcasts.
     #[prost(message, repeated, tag = "5")]
     pub events: ::prost::alloc::vec::Vec<Event>,
 }
@@ -216,7 +217,7 @@ pub struct Command {
     /// Name, unique in its interface.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it does.
+    /// Documentation: its effect.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// Its kind.
@@ -231,7 +232,7 @@ pub struct Command {
     /// Unit of its result; empty = none or inside the type.
     #[prost(string, tag = "6")]
     pub ret_unit: ::prost::alloc::string::String,
-    /// What happens when its queue is full.
+    /// Reaction when its queue is full.
     #[prost(enumeration = "Overflow", tag = "7")]
     pub overflow: i32,
 }
@@ -241,7 +242,7 @@ pub struct Argument {
     /// Its name.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it means.
+    /// Documentation: its meaning.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// Its type.
@@ -279,16 +280,16 @@ pub struct RequiredInterface {
     /// Name, unique among the component's ports.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it is for.
+    /// Documentation: its purpose.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// True: the component can be started without it.
     #[prost(bool, tag = "3")]
     pub optional: bool,
-    /// What the component calls.
+    /// Functions the component calls.
     #[prost(message, repeated, tag = "4")]
     pub functions: ::prost::alloc::vec::Vec<Function>,
-    /// What the component listens to.
+    /// Events the component listens to.
     #[prost(message, repeated, tag = "5")]
     pub handlers: ::prost::alloc::vec::Vec<Handler>,
 }
@@ -298,7 +299,7 @@ pub struct Function {
     /// Name; binds to the command of the same name.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it is called for.
+    /// Documentation: the purpose of the call.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// Type of the argument; absent when there is none.
@@ -313,7 +314,7 @@ pub struct Function {
     /// True: the provider need not have it.
     #[prost(bool, tag = "6")]
     pub optional: bool,
-    /// True: takes the type of what it is bound to.
+    /// True: takes the type of the command it is bound to.
     #[prost(bool, tag = "7")]
     pub any: bool,
 }
@@ -323,7 +324,7 @@ pub struct Handler {
     /// Name; binds to the event of the same name.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// What it does.
+    /// Documentation: its effect.
     #[prost(string, tag = "2")]
     pub doc: ::prost::alloc::string::String,
     /// Type of the payload; absent when there is none.
@@ -355,11 +356,11 @@ pub struct Ports {
     #[prost(message, optional, tag = "5")]
     pub state: ::core::option::Option<TypeInfo>,
 }
-/// Where a component's thread comes from. Unset fields take the class's default.
+/// Source of a component's thread. Unset fields take the class's default.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Execution {
-    /// One of "periodic", "continuous", "on_signal", "on_callback", "exec_in" (inside another component's step, before it),
-    /// "exec_out" (after it), "stream", "none".
+    /// One of "periodic", "continuous", "on_signal", "on_callback", "exec_in" (inside another component's
+    /// step, before it), "exec_out" (after it), "stream", "none".
     #[prost(string, tag = "1")]
     pub model: ::prost::alloc::string::String,
     /// Steps per second, Hz; the same setting as period.
@@ -374,7 +375,8 @@ pub struct Execution {
     /// Runs in the stream of this component (process/component), after it.
     #[prost(string, tag = "5")]
     pub stream_of: ::prost::alloc::string::String,
-    /// Runs inside the step of this component (process/component): before it, or after it with model "exec_out".
+    /// Component (process/component) inside whose step it runs: before it, or after it with model
+    /// "exec_out".
     #[prost(string, tag = "6")]
     pub inside: ::prost::alloc::string::String,
     /// SCHED_FIFO priority 1–99; unset = normal scheduling.
@@ -383,7 +385,8 @@ pub struct Execution {
     /// CPUs it may run on; empty = all.
     #[prost(uint32, repeated, tag = "8")]
     pub cpus: ::prost::alloc::vec::Vec<u32>,
-    /// Late periods that are made up for without pause, at most, 0–1000; 0 = they are skipped. All are counted.
+    /// Largest number of late periods that are made up for without pause, 0–1000; 0 = they are skipped. All
+    /// are counted.
     #[prost(uint32, optional, tag = "9")]
     pub catch_up: ::core::option::Option<u32>,
     /// Threads that share the work of a stream, 1–64, its own included; set where the stream begins.
@@ -392,15 +395,15 @@ pub struct Execution {
     /// Longest stay inside its own code before a component without a period is UNRESPONSIVE, e.g. "0.05s".
     #[prost(message, optional, tag = "11")]
     pub max_step: ::core::option::Option<::prost_types::Duration>,
-    /// What happens behind a filter of a stream that failed: "stop_branch" (nothing more comes) or "bypass" (frames pass it
-    /// unchanged).
+    /// Reaction behind a filter of a stream that failed: "stop_branch" (nothing more comes) or "bypass"
+    /// (frames pass it unchanged).
     #[prost(string, tag = "12")]
     pub on_failure: ::prost::alloc::string::String,
     /// Rows its state table keeps, 3–65536; unset = 256.
     #[prost(uint32, optional, tag = "13")]
     pub history: ::core::option::Option<u32>,
-    /// How its thread is told that something has come: "signal" (woken if it sleeps) or "poll" (it looks at each period, and whoever
-    /// sends pays for no wake); unset = poll up to a period of 10 ms, else signal.
+    /// Wake-up of its thread when something has come: "signal" (woken if it sleeps) or "poll" (it looks at
+    /// each period, and the sender pays for no wake); unset = poll up to a period of 10 ms, else signal.
     #[prost(string, tag = "14")]
     pub wake: ::prost::alloc::string::String,
 }
@@ -420,10 +423,10 @@ pub struct ClassInfo {
     /// The class's name; "plugin/class" is always unique.
     #[prost(string, tag = "4")]
     pub name: ::prost::alloc::string::String,
-    /// What it does.
+    /// Documentation: its effect.
     #[prost(string, tag = "5")]
     pub doc: ::prost::alloc::string::String,
-    /// What it can do to the world.
+    /// Effect that it can have on the world.
     #[prost(enumeration = "Safety", tag = "6")]
     pub safety: i32,
     /// True: it opens a device.
@@ -510,31 +513,32 @@ pub struct ComponentStats {
     /// Commands executed.
     #[prost(uint64, tag = "10")]
     pub commands: u64,
-    /// Commands lost in full queues: not taken, given up for newer ones, or only sent and not run before their connection was cut.
-    /// Only sums; the connections say whose.
+    /// Commands lost in full queues: not taken, given up for newer ones, or only sent and not run before
+    /// their connection was cut. A sum only; the connections say whose.
     #[prost(uint64, tag = "11")]
     pub commands_rejected: u64,
     /// Events lost in the full queues of its handlers.
     #[prost(uint64, tag = "12")]
     pub events_dropped: u64,
-    /// Where it runs: "own thread", "stream of host/source", "callers' threads".
+    /// Thread in which it runs: "own thread", "stream of host/source", "callers' threads".
     #[prost(string, tag = "13")]
     pub thread: ::prost::alloc::string::String,
     /// True when SCHED_FIFO was granted.
     #[prost(bool, tag = "14")]
     pub realtime: bool,
-    /// What the machine refused, in sentences.
+    /// Refusals of the machine, in sentences.
     #[prost(string, repeated, tag = "15")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Its place in each period, behind the multiples of the period on the machine's monotonic clock, ns; unset = it has no grid
-    /// of its own.
+    /// Its place in each period, behind the multiples of the period on the machine's monotonic clock, ns;
+    /// unset = it has no grid of its own.
     #[prost(uint64, optional, tag = "16")]
     pub phase_ns: ::core::option::Option<u64>,
-    /// True: nobody set that phase; it is reckoned so that what feeds it on the same grid has written before.
+    /// True: nobody set that phase; it is computed so that the components that feed it on the same grid
+    /// have written before.
     #[prost(bool, tag = "17")]
     pub phase_auto: bool,
 }
-/// A component and how it stands.
+/// A component and its status.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Component {
     /// process/component.
@@ -561,17 +565,17 @@ pub struct Component {
     /// Its whole configuration, defaults filled in.
     #[prost(message, optional, tag = "8")]
     pub config: ::core::option::Option<::prost_types::Struct>,
-    /// Where its thread comes from.
+    /// Source of its thread.
     #[prost(message, optional, tag = "9")]
     pub execution: ::core::option::Option<Execution>,
-    /// What its class can do to the world.
+    /// Effect that its class can have on the world.
     #[prost(enumeration = "Safety", tag = "10")]
     pub safety: i32,
     /// Live figures; absent when its process does not answer.
     #[prost(message, optional, tag = "11")]
     pub stats: ::core::option::Option<ComponentStats>,
 }
-/// How a component stands after a request.
+/// Status of a component after a request.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct ComponentReport {
     /// process/component.
@@ -589,7 +593,7 @@ pub struct ComponentReport {
     /// Why it is in FAULT; empty otherwise.
     #[prost(string, tag = "5")]
     pub fault: ::prost::alloc::string::String,
-    /// What the machine refused or the component warns of.
+    /// Refusals of the machine and warnings of the component.
     #[prost(string, repeated, tag = "6")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Its ports, when they may have changed; only between LCM and GCM.
@@ -598,7 +602,8 @@ pub struct ComponentReport {
     /// Connections that were cut because a port went, by number.
     #[prost(uint64, repeated, tag = "8")]
     pub lost_connections: ::prost::alloc::vec::Vec<u64>,
-    /// Counts up within a run of the process: a higher one was looked up later; 0 = nobody counted. Only between LCM and GCM.
+    /// Counts up within a run of the process: a report with a higher number is younger; 0 = not counted.
+    /// Only between LCM and GCM.
     #[prost(uint64, tag = "9")]
     pub number: u64,
 }
@@ -631,7 +636,8 @@ pub struct ConnectOptions {
     /// Older samples make the client STALE_INPUT.
     #[prost(message, optional, tag = "2")]
     pub max_age: ::core::option::Option<::prost_types::Duration>,
-    /// Default deadline of blocking calls. What is only sent, with numbers, is not carried out once it has waited longer.
+    /// Default deadline of blocking calls. A command with numbers that is only sent is not carried out once
+    /// it has waited longer.
     #[prost(message, optional, tag = "3")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
     /// Mailbox depth in commands or events.
@@ -643,12 +649,12 @@ pub struct ConnectOptions {
     /// True: take the place of the client's present connection.
     #[prost(bool, tag = "6")]
     pub replace: bool,
-    /// Pins the carrier: "inline", "heap" or "memfd"; empty = the best one for where the ends run. One that cannot be had there is
-    /// refused.
+    /// Pins the carrier: "inline", "heap" or "memfd"; empty = the best one for where the ends run. A
+    /// carrier that cannot be had there is refused.
     #[prost(string, tag = "7")]
     pub carrier: ::prost::alloc::string::String,
-    /// True: on a grid of one period the client may step before the server, and takes its samples a period later. Where a circle of
-    /// components is cut; in one without it the newest connection is.
+    /// True: on a grid of one period the client may step before the server, and takes its samples a period
+    /// later. A circle of components is cut here; in a circle without such a connection, at the newest one.
     #[prost(bool, tag = "8")]
     pub delay: bool,
 }
@@ -664,17 +670,18 @@ pub struct Connection {
     /// The output or provided interface, process/component/port.
     #[prost(string, tag = "3")]
     pub server: ::prost::alloc::string::String,
-    /// What was asked for.
+    /// Options that were asked for.
     #[prost(message, optional, tag = "4")]
     pub options: ::core::option::Option<ConnectOptions>,
-    /// How the data travels: "inline" (called in the same thread), "heap" (queues within the process), "memfd" (queues in memory that
-    /// both ends map), "grpc" (a guest's calls from outside).
+    /// Carrier of the data: "inline" (called in the same thread), "heap" (queues within the process),
+    /// "memfd" (queues in memory that both ends map), "grpc" (a guest's calls from outside).
     #[prost(string, tag = "5")]
     pub carrier: ::prost::alloc::string::String,
     /// Samples taken; commands and events that were queued.
     #[prost(uint64, tag = "6")]
     pub passed: u64,
-    /// Samples, commands and events lost in full queues, the rejected ones included; without those in skipped.
+    /// Samples, commands and events lost in full queues, including the rejected ones; without those in
+    /// skipped.
     #[prost(uint64, tag = "7")]
     pub dropped: u64,
     /// Bytes that arrived.
@@ -701,28 +708,31 @@ pub struct Connection {
     /// Commands that were only sent, and events, that were queued and never ran: Stop, Disconnect, Remove.
     #[prost(uint64, tag = "15")]
     pub unexecuted: u64,
-    /// Its halves, where its ends are in two processes, the client's first; empty otherwise. The figures above are of both together,
-    /// each thing counted once.
+    /// Its halves, where its ends are in two processes, the client's first; empty otherwise. The figures
+    /// above are of both together, each thing counted once.
     #[prost(message, repeated, tag = "16")]
     pub proxies: ::prost::alloc::vec::Vec<Proxy>,
-    /// How the client is told of samples or events: "signal" or "poll"; empty where it is called in the same thread.
+    /// Wake-up of the client for samples or events: "signal" or "poll"; empty where it is called in the
+    /// same thread.
     #[prost(string, tag = "17")]
     pub client_wake: ::prost::alloc::string::String,
-    /// How the server is told of commands; empty for streams, and as above.
+    /// Wake-up of the server for commands; empty for streams, and as above.
     #[prost(string, tag = "18")]
     pub server_wake: ::prost::alloc::string::String,
-    /// Samples a newer one took the place of before the client looked, where it takes the newest only, and commands
-    /// that a newer one of their kind superseded before the server looked, where the latest wins: no loss.
+    /// Samples that a newer one replaced before the client looked, where it takes the newest only, and
+    /// commands that a newer one of their kind superseded before the server looked, where the latest wins:
+    /// no loss.
     #[prost(uint64, tag = "19")]
     pub skipped: u64,
 }
-/// One half of a connection between two processes: the end that is there, with a stand-in for the other one.
+/// One half of a connection between two processes: the end that is there, with a stand-in for the other
+/// end.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Proxy {
     /// The process whose LCM has it.
     #[prost(string, tag = "1")]
     pub process: ::prost::alloc::string::String,
-    /// Which end is there.
+    /// The end that is there.
     #[prost(enumeration = "ConnectionEnd", tag = "2")]
     pub end: i32,
     /// True: it is linked to the other half, and data flow.
@@ -731,10 +741,10 @@ pub struct Proxy {
     /// Why it is not linked; empty when it is.
     #[prost(string, tag = "4")]
     pub why_not: ::prost::alloc::string::String,
-    /// Number of the link, the same at both halves: another, higher one each time they are linked; 0 = not linked.
+    /// Number of the link, the same at both halves: a higher one each time they are linked; 0 = not linked.
     #[prost(uint64, tag = "5")]
     pub epoch: u64,
-    /// How the data travel: "memfd".
+    /// Carrier of the data: "memfd".
     #[prost(string, tag = "6")]
     pub carrier: ::prost::alloc::string::String,
 }
@@ -759,19 +769,21 @@ pub struct Process {
     /// Classes its plugin directories offer, "plugin/class".
     #[prost(string, repeated, tag = "6")]
     pub classes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How it ended last, e.g. "was killed by SIGSEGV (core dumped)", "ended with code 3"; empty when no supervisor told.
+    /// Its last end, e.g. "was killed by SIGSEGV (core dumped)", "ended with code 3"; empty when no
+    /// supervisor told.
     #[prost(string, tag = "7")]
     pub last_exit: ::prost::alloc::string::String,
-    /// How often its supervisor started it again.
+    /// Number of times its supervisor started it again.
     #[prost(uint32, tag = "8")]
     pub restarts: u32,
-    /// What the process itself is warned of, in sentences, such as the memory it has in use.
+    /// Warnings about the process itself, in sentences, for example about the memory it has in use.
     #[prost(string, repeated, tag = "9")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// What takes a place here without an LCM, e.g. "Python 3.11.7"; empty = an ordinary process.
+    /// Program that takes a place here without an LCM, e.g. "Python 3.11.7"; empty = an ordinary process.
     #[prost(string, tag = "10")]
     pub guest: ::prost::alloc::string::String,
-    /// True: nothing new can be made or connected in it, as the warnings say; what runs there goes on.
+    /// True: nothing new can be made or connected in it, for the reason in the warnings; running components
+    /// go on.
     #[prost(bool, tag = "11")]
     pub unfit: bool,
 }
@@ -799,7 +811,7 @@ pub struct Plugin {
     /// Compiler and SDK it was built with.
     #[prost(string, tag = "7")]
     pub built_with: ::prost::alloc::string::String,
-    /// What it is.
+    /// Documentation of the plugin.
     #[prost(string, tag = "8")]
     pub doc: ::prost::alloc::string::String,
     /// The classes in it.
@@ -808,7 +820,7 @@ pub struct Plugin {
     /// True once its code was mapped.
     #[prost(bool, tag = "10")]
     pub loaded: bool,
-    /// What is unusual about it.
+    /// Unusual things about it.
     #[prost(string, repeated, tag = "11")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Reason code when the file was refused, e.g. "PLUGIN_ABI"; empty otherwise.
@@ -833,7 +845,7 @@ pub struct LogLine {
     /// The part of the program that said it.
     #[prost(string, tag = "4")]
     pub target: ::prost::alloc::string::String,
-    /// What it said.
+    /// Its text.
     #[prost(string, tag = "5")]
     pub message: ::prost::alloc::string::String,
 }
@@ -888,7 +900,7 @@ impl ComponentState {
 pub enum StopReason {
     /// Not stopped.
     Unspecified = 0,
-    /// Somebody asked for it.
+    /// A request asked for it.
     Requested = 1,
     /// Its process was restarted: needs Resume by name.
     Restarted = 2,
@@ -1017,7 +1029,7 @@ impl CommandKind {
         }
     }
 }
-/// What a command's queue does when it is full.
+/// Reaction of a command's queue when it is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum Overflow {
@@ -1054,7 +1066,7 @@ impl Overflow {
         }
     }
 }
-/// What a class can do to the world.
+/// Effect that a class can have on the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum Safety {
@@ -1101,9 +1113,10 @@ pub enum ProcessState {
     Attached = 1,
     /// Its lease ran out or its stream broke.
     Lost = 2,
-    /// It ended and is started again by its supervisor, or it is back and its components are being made again.
+    /// The process ended and its supervisor starts it again, or it is back and its components are being
+    /// made again.
     Restarting = 3,
-    /// It ended too often: its supervisor has given it up.
+    /// The process ended too often: its supervisor has given it up.
     Failed = 4,
 }
 impl ProcessState {
@@ -1283,7 +1296,7 @@ pub struct InvokeRequest {
     /// The argument as exact bytes of its type, instead of json.
     #[prost(bytes = "vec", tag = "3")]
     pub encoded: ::prost::alloc::vec::Vec<u8>,
-    /// How long to wait for the result, e.g. "0.5s"; absent = 1 s. Never more than 60 s.
+    /// Longest wait for the result, e.g. "0.5s"; absent = 1 s. Never more than 60 s.
     #[prost(message, optional, tag = "4")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
     /// True: return as soon as it is queued.
@@ -1318,7 +1331,8 @@ pub struct ReadRequest {
     /// process/component (its state row) or process/component/output.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
-    /// True: also the bytes of the frame behind the header; only of outputs that give frames, at most 24 MiB of them.
+    /// True: also the bytes of the frame behind the header; only for outputs that give frames, at most 24
+    /// MiB.
     #[prost(bool, tag = "6")]
     pub frame: bool,
     /// Which state row; absent = the newest. Outputs keep none but the newest.
@@ -1359,14 +1373,14 @@ pub struct ReadResponse {
     /// Its age, ns.
     #[prost(uint64, tag = "4")]
     pub age_ns: u64,
-    /// Its number: of a row since the component was created or made anew (Start does not begin again), of a sample the
-    /// output's own count.
+    /// Its number: for a row, counted since the component was created or made anew (Start does not begin
+    /// again); for a sample, the output's own count.
     #[prost(uint64, tag = "5")]
     pub seq: u64,
     /// Bytes of the frame behind the header; 0 for plain samples.
     #[prost(uint64, tag = "6")]
     pub frame_bytes: u64,
-    /// Those bytes, where they were asked for.
+    /// Bytes of the frame, where they were asked for.
     #[prost(bytes = "vec", tag = "7")]
     pub frame: ::prost::alloc::vec::Vec<u8>,
 }
@@ -1386,7 +1400,7 @@ pub struct EmitRequest {
 /// Answers Emit.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct EmitResponse {
-    /// How many receivers took it.
+    /// Number of receivers that took it.
     #[prost(uint64, tag = "1")]
     pub receivers: u64,
 }
@@ -1406,26 +1420,27 @@ pub struct Selection {
 /// Asks for Subscribe.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct SubscribeRequest {
-    /// What to follow.
+    /// The things to follow.
     #[prost(message, repeated, tag = "1")]
     pub selections: ::prost::alloc::vec::Vec<Selection>,
 }
 /// One item of Subscribe.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct SubscribeResponse {
-    /// Where it comes from.
+    /// Path of its source.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
-    /// What it is.
+    /// Kind of the item.
     #[prost(enumeration = "ItemKind", tag = "2")]
     pub kind: i32,
     /// The state, payload or sample as JSON.
     #[prost(message, optional, tag = "3")]
     pub json: ::core::option::Option<::prost_types::Value>,
-    /// When it was made, ns of the host's monotonic clock; of an event the same for everybody who follows it.
+    /// Time when it was made, ns of the host's monotonic clock; for an event the same for all followers.
     #[prost(uint64, tag = "4")]
     pub stamp_ns: u64,
-    /// Its number: of a sample the output's own count, of an event since this call began to follow it, lost ones counted; of a state 0.
+    /// Its number: for a sample, the output's own count; for an event, counted since this call began to
+    /// follow it, lost ones included; for a state 0.
     #[prost(uint64, tag = "5")]
     pub seq: u64,
     /// Items lost on the way to this caller since the item before.
@@ -1444,10 +1459,10 @@ pub struct LogsRequest {
     /// Most detailed level: "error", "warn", "info", "debug", "trace"; empty = "info".
     #[prost(string, tag = "2")]
     pub level: ::prost::alloc::string::String,
-    /// True: go on with what comes; false: end after what there is.
+    /// True: go on with new lines; false: end after the kept ones.
     #[prost(bool, tag = "3")]
     pub follow: bool,
-    /// Only so many of the newest lines there are; 0 = all that are kept (1000 at most).
+    /// Number of the newest lines to send; 0 = all that are kept (1000 at most).
     #[prost(uint32, tag = "4")]
     pub last: u32,
 }
@@ -1461,13 +1476,13 @@ pub struct LogsResponse {
     #[prost(uint64, tag = "2")]
     pub skipped: u64,
 }
-/// What an item of Subscribe is.
+/// Kind of an item of Subscribe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum ItemKind {
     /// Not set.
     Unspecified = 0,
-    /// How a component stands.
+    /// Status of a component.
     State = 1,
     /// An event.
     Event = 2,
@@ -1670,7 +1685,7 @@ pub mod interact_service_client {
                 .insert(GrpcMethod::new("trocar.v1.InteractService", "Subscribe"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// What components and hosts log.
+        /// Follows the log lines of components and hosts.
         pub async fn logs(
             &mut self,
             request: impl tonic::IntoRequest<super::LogsRequest>,
@@ -1742,7 +1757,7 @@ pub mod interact_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// What components and hosts log.
+        /// Follows the log lines of components and hosts.
         async fn logs(
             &self,
             request: tonic::Request<super::LogsRequest>,
@@ -2105,14 +2120,15 @@ pub struct CreateRequest {
     /// Its configuration; absent = the class's defaults.
     #[prost(message, optional, tag = "4")]
     pub config: ::core::option::Option<::prost_types::Struct>,
-    /// Where its thread comes from; absent = the class's defaults.
+    /// Source of its thread; absent = the class's defaults.
     #[prost(message, optional, tag = "5")]
     pub execution: ::core::option::Option<Execution>,
     /// process/component, instead of process and name.
     #[prost(string, tag = "6")]
     pub path: ::prost::alloc::string::String,
-    /// "process": in a process of its own, PROCESS.NAME, which is made like PROCESS by whoever keeps that (`trocar up`), is
-    /// restarted by the same policy, and goes when the component is removed; the answer says the path. Absent: in PROCESS.
+    /// "process": in a process of its own, PROCESS.NAME. The supervisor of PROCESS (`trocar up`) makes it
+    /// like PROCESS and restarts it by the same policy; it goes when the component is removed; the answer
+    /// says the path. Absent: in PROCESS.
     #[prost(string, tag = "7")]
     pub isolation: ::prost::alloc::string::String,
     /// True: answer what would be done, do nothing.
@@ -2131,16 +2147,17 @@ pub struct CreateResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Path of the new component.
@@ -2172,16 +2189,17 @@ pub struct RemoveResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2191,11 +2209,12 @@ pub struct ConfigureRequest {
     /// process/component.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
-    /// JSON merge patch (RFC 7396) on the present configuration: null removes a key, that is, gives it its default.
+    /// JSON merge patch (RFC 7396) on the present configuration: null removes a key, that is, gives it its
+    /// default.
     #[prost(message, optional, tag = "2")]
     pub config: ::core::option::Option<::prost_types::Struct>,
-    /// Where its thread comes from; what is unset stays as it is. Not while it runs: it is made anew on its new thread, as by
-    /// Reset, together with those who run in its thread.
+    /// Source of its thread; unset fields stay as they are. Not while it runs: it is made anew on its new
+    /// thread, as by Reset, together with the components that run in its thread.
     #[prost(message, optional, tag = "3")]
     pub execution: ::core::option::Option<Execution>,
     /// True: answer what would be done, do nothing.
@@ -2214,16 +2233,17 @@ pub struct ConfigureResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2252,16 +2272,17 @@ pub struct StartResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2290,16 +2311,17 @@ pub struct StopResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Components that could not be stopped, with the reason; the others are.
@@ -2331,16 +2353,17 @@ pub struct ResumeResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2369,20 +2392,21 @@ pub struct ResetResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
-/// Asks for Forget. A process that comes back by itself is listed again, with what it has.
+/// Asks for Forget. A process that comes back by itself is listed again, with its components.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ForgetRequest {
     /// Name of a process that is LOST or FAILED.
@@ -2404,20 +2428,20 @@ pub struct ForgetResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "- disconnect …", "- remove …".
+    /// Steps that were done, or with validate_only would be: one line each, "- disconnect …", "- remove …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
-/// Asks for Restart. Components are made anew; what moves something comes back STOPPED.
+/// Asks for Restart. Components are made anew; those that move something come back STOPPED.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct RestartRequest {
     /// Name of a process that a supervisor keeps.
@@ -2462,16 +2486,17 @@ pub struct ConnectResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Number of the new connection.
@@ -2506,16 +2531,17 @@ pub struct DisconnectResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2535,14 +2561,14 @@ pub struct GetStateResponse {
     /// The component.
     #[prost(message, optional, tag = "2")]
     pub component: ::core::option::Option<Component>,
-    /// The connections that end at it; their figures are those of this moment.
+    /// Connections that end at it; their figures are those of this moment.
     #[prost(message, repeated, tag = "3")]
     pub connections: ::prost::alloc::vec::Vec<Connection>,
 }
 /// Asks for List.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ListRequest {
-    /// Only what this process, component or glob names; empty = everything.
+    /// Process, component or glob that limits the answer; empty = everything.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
     /// True: also describe every class of the processes listed.
@@ -2551,14 +2577,16 @@ pub struct ListRequest {
     /// True: leave out live figures, which need a question to every process.
     #[prost(bool, tag = "3")]
     pub brief: bool,
-    /// The `etag` of an answer: this call waits until what it lists is otherwise than it was then, and answers what there is when its
-    /// deadline comes. Empty = it answers at once.
+    /// The `etag` of an earlier answer: this call waits until the list differs from that answer, and
+    /// answers the present list when its deadline comes. Empty = it answers at once.
     #[prost(string, tag = "4")]
     pub unless_etag: ::prost::alloc::string::String,
-    /// At most so many processes, components, connections and classes together; 0 = everything in one answer.
+    /// Largest number of processes, components, connections and classes together; 0 = everything in one
+    /// answer.
     #[prost(int32, tag = "5")]
     pub page_size: i32,
-    /// The `next_page_token` of the answer before, whose path and classes were the same; empty = the first page.
+    /// The `next_page_token` of the previous answer, whose path and classes were the same; empty = the
+    /// first page.
     #[prost(string, tag = "6")]
     pub page_token: ::prost::alloc::string::String,
 }
@@ -2586,10 +2614,11 @@ pub struct ListResponse {
     /// Processes that did not give their figures in time, and why.
     #[prost(string, repeated, tag = "7")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Stands for the processes, components and connections above without their figures: equal where they are equal, for this GCM.
+    /// Tag of the processes, components and connections above without their figures: equal where they are
+    /// equal, for this GCM.
     #[prost(string, tag = "8")]
     pub etag: ::prost::alloc::string::String,
-    /// The place where the next page begins; empty = this is the last. A thing that is there while all
+    /// Position where the next page begins; empty = this is the last page. A thing that exists while all
     /// pages are asked for is on one of them; equal etags say that nothing changed meanwhile.
     #[prost(string, tag = "9")]
     pub next_page_token: ::prost::alloc::string::String,
@@ -2638,11 +2667,11 @@ pub struct WaitForRequest {
     /// The states to wait for; empty = ACTIVE. Not with an event.
     #[prost(enumeration = "ComponentState", repeated, tag = "2")]
     pub states: ::prost::alloc::vec::Vec<i32>,
-    /// How long at most, e.g. "2s"; absent = what the call allows, or 5 s. Never more than 60 s.
+    /// Longest wait, e.g. "2s"; absent = what the call allows, or 5 s. Never more than 60 s.
     #[prost(message, optional, tag = "3")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
-    /// Called once the event is listened for, so that what it brings about is not missed; a refused call ends the waiting.
-    /// Only with an event.
+    /// Called as soon as this request listens for the event, so that no event caused by the call is missed;
+    /// a refused call ends the waiting. Only with an event.
     #[prost(message, optional, tag = "4")]
     pub call: ::core::option::Option<InvokeRequest>,
 }
@@ -2665,13 +2694,13 @@ pub struct WaitForResponse {
 /// One step of Apply; its own validate_only, request_id and expected_revision are not looked at.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Step {
-    /// What to do.
+    /// The request of this step.
     #[prost(oneof = "step::Step", tags = "1, 2, 3, 4, 5, 6, 7, 8, 9, 10")]
     pub step: ::core::option::Option<step::Step>,
 }
 /// Nested message and enum types in `Step`.
 pub mod step {
-    /// What to do.
+    /// The request of this step.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Step {
         /// See Create.
@@ -2713,7 +2742,8 @@ pub struct ApplyRequest {
     #[prost(message, repeated, tag = "1")]
     pub steps: ::prost::alloc::vec::Vec<Step>,
     /// Instead of steps: the text of a system file. Its components and connections are made, changed and
-    /// started until the system is what it says; processes are not started. What it does not name stays.
+    /// started until the system matches the file; processes are not started. Things that the file does not
+    /// name stay.
     #[prost(string, tag = "2")]
     pub system: ::prost::alloc::string::String,
     /// With system: components of the file's processes, and connections of their inputs and required
@@ -2736,16 +2766,17 @@ pub struct ApplyResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2763,7 +2794,7 @@ pub struct SaveResponse {
     /// Revision of the graph that is saved.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// The text of the file. What classes fill in by themselves is left out, and guests are.
+    /// The text of the file, without guests and without settings that classes fill in by themselves.
     #[prost(string, tag = "2")]
     pub text: ::prost::alloc::string::String,
     /// Sentences about things that are not in it, and where to take them from.
@@ -2787,7 +2818,7 @@ pub struct CompareResponse {
     /// None: no difference.
     #[prost(string, repeated, tag = "2")]
     pub differences: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Differences that Apply does not end, and who does.
+    /// Differences that Apply does not end, and who ends them.
     #[prost(string, repeated, tag = "3")]
     pub notes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2816,16 +2847,17 @@ pub struct ReplaceResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2854,16 +2886,17 @@ pub struct MoveResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// What was done, or with validate_only would be: one line per step, "+ create …", "~ configure …", "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
+    /// "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// How the components touched stand now.
+    /// Present status of the components touched.
     #[prost(message, repeated, tag = "3")]
     pub components: ::prost::alloc::vec::Vec<ComponentReport>,
     /// Components that were matched but left alone.
     #[prost(message, repeated, tag = "4")]
     pub skipped: ::prost::alloc::vec::Vec<SkippedComponent>,
-    /// What did not go as asked without being refused.
+    /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -2873,8 +2906,8 @@ pub struct WatchRequest {
     /// The revision the caller has seen; when it is still the present one no snapshot is sent first.
     #[prost(uint64, tag = "1")]
     pub from_revision: u64,
-    /// At most so many processes, components, connections and removals in one message; 0 = each snapshot and
-    /// delta in one.
+    /// Largest number of processes, components, connections and removals in one message; 0 = each snapshot
+    /// and delta in one.
     #[prost(int32, tag = "2")]
     pub page_size: i32,
 }
@@ -2887,19 +2920,19 @@ pub struct WatchResponse {
     /// Incarnation of the GCM; revisions of two terms cannot be compared.
     #[prost(uint64, tag = "2")]
     pub term: u64,
-    /// What is told.
+    /// The news.
     #[prost(oneof = "watch_response::News", tags = "3, 4")]
     pub news: ::core::option::Option<watch_response::News>,
 }
 /// Nested message and enum types in `WatchResponse`.
 pub mod watch_response {
-    /// What is told.
+    /// The news.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum News {
         /// The whole graph.
         #[prost(message, tag = "3")]
         Snapshot(super::Snapshot),
-        /// What is different from the message before.
+        /// Differences from the previous message.
         #[prost(message, tag = "4")]
         Delta(super::Delta),
     }
@@ -2920,7 +2953,7 @@ pub struct Snapshot {
     #[prost(bool, tag = "4")]
     pub more: bool,
 }
-/// What is different from the message before.
+/// Differences from the previous message.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Delta {
     /// Processes that are new or different.
@@ -3232,7 +3265,7 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Disconnect"));
             self.inner.unary(req, path, codec).await
         }
-        /// How one component stands.
+        /// Returns the status of one component.
         pub async fn get_state(
             &mut self,
             request: impl tonic::IntoRequest<super::GetStateRequest>,
@@ -3257,7 +3290,7 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "GetState"));
             self.inner.unary(req, path, codec).await
         }
-        /// The processes, components and connections there are, with their figures.
+        /// Returns the processes, components and connections, with their figures.
         pub async fn list(
             &mut self,
             request: impl tonic::IntoRequest<super::ListRequest>,
@@ -3278,7 +3311,8 @@ pub mod gcm_service_client {
             req.extensions_mut().insert(GrpcMethod::new("trocar.v1.GcmService", "List"));
             self.inner.unary(req, path, codec).await
         }
-        /// What a process, component, port, command or class offers: documentation, types, units, kinds.
+        /// Returns what a process, component, port, command or class offers: documentation, types, units,
+        /// kinds.
         pub async fn describe(
             &mut self,
             request: impl tonic::IntoRequest<super::DescribeRequest>,
@@ -3328,8 +3362,8 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "WaitFor"));
             self.inner.unary(req, path, codec).await
         }
-        /// Many changes as one: all or nothing. They are steps, or whatever it takes for the system to be what
-        /// a system file says.
+        /// Makes many changes as one: all or nothing. The changes are steps, or those that make the system
+        /// match a system file.
         pub async fn apply(
             &mut self,
             request: impl tonic::IntoRequest<super::ApplyRequest>,
@@ -3372,7 +3406,7 @@ pub mod gcm_service_client {
             req.extensions_mut().insert(GrpcMethod::new("trocar.v1.GcmService", "Save"));
             self.inner.unary(req, path, codec).await
         }
-        /// Compares the system with what a system file says. Changes nothing.
+        /// Compares the system with a system file. Changes nothing.
         pub async fn compare(
             &mut self,
             request: impl tonic::IntoRequest<super::CompareRequest>,
@@ -3443,7 +3477,8 @@ pub mod gcm_service_client {
             req.extensions_mut().insert(GrpcMethod::new("trocar.v1.GcmService", "Move"));
             self.inner.unary(req, path, codec).await
         }
-        /// The graph as it is, then each change of it. A slow reader gets a snapshot instead of what it missed.
+        /// Returns the graph, then each change of it. A slow reader gets a snapshot instead of the changes it
+        /// missed.
         pub async fn watch(
             &mut self,
             request: impl tonic::IntoRequest<super::WatchRequest>,
@@ -3490,7 +3525,8 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Forget"));
             self.inner.unary(req, path, codec).await
         }
-        /// Ends a process that a supervisor keeps (`trocar up`), if it runs, and starts it again; one that was given up, too.
+        /// Ends a process that a supervisor keeps (`trocar up`), if it runs, and starts it again; also a
+        /// process that was given up.
         pub async fn restart(
             &mut self,
             request: impl tonic::IntoRequest<super::RestartRequest>,
@@ -3581,7 +3617,7 @@ pub mod gcm_service_server {
             tonic::Response<super::DisconnectResponse>,
             tonic::Status,
         >;
-        /// How one component stands.
+        /// Returns the status of one component.
         async fn get_state(
             &self,
             request: tonic::Request<super::GetStateRequest>,
@@ -3589,12 +3625,13 @@ pub mod gcm_service_server {
             tonic::Response<super::GetStateResponse>,
             tonic::Status,
         >;
-        /// The processes, components and connections there are, with their figures.
+        /// Returns the processes, components and connections, with their figures.
         async fn list(
             &self,
             request: tonic::Request<super::ListRequest>,
         ) -> std::result::Result<tonic::Response<super::ListResponse>, tonic::Status>;
-        /// What a process, component, port, command or class offers: documentation, types, units, kinds.
+        /// Returns what a process, component, port, command or class offers: documentation, types, units,
+        /// kinds.
         async fn describe(
             &self,
             request: tonic::Request<super::DescribeRequest>,
@@ -3607,8 +3644,8 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::WaitForRequest>,
         ) -> std::result::Result<tonic::Response<super::WaitForResponse>, tonic::Status>;
-        /// Many changes as one: all or nothing. They are steps, or whatever it takes for the system to be what
-        /// a system file says.
+        /// Makes many changes as one: all or nothing. The changes are steps, or those that make the system
+        /// match a system file.
         async fn apply(
             &self,
             request: tonic::Request<super::ApplyRequest>,
@@ -3618,7 +3655,7 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::SaveRequest>,
         ) -> std::result::Result<tonic::Response<super::SaveResponse>, tonic::Status>;
-        /// Compares the system with what a system file says. Changes nothing.
+        /// Compares the system with a system file. Changes nothing.
         async fn compare(
             &self,
             request: tonic::Request<super::CompareRequest>,
@@ -3639,7 +3676,8 @@ pub mod gcm_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// The graph as it is, then each change of it. A slow reader gets a snapshot instead of what it missed.
+        /// Returns the graph, then each change of it. A slow reader gets a snapshot instead of the changes it
+        /// missed.
         async fn watch(
             &self,
             request: tonic::Request<super::WatchRequest>,
@@ -3649,7 +3687,8 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::ForgetRequest>,
         ) -> std::result::Result<tonic::Response<super::ForgetResponse>, tonic::Status>;
-        /// Ends a process that a supervisor keeps (`trocar up`), if it runs, and starts it again; one that was given up, too.
+        /// Ends a process that a supervisor keeps (`trocar up`), if it runs, and starts it again; also a
+        /// process that was given up.
         async fn restart(
             &self,
             request: tonic::Request<super::RestartRequest>,
@@ -4712,23 +4751,24 @@ pub struct SuperviseRequest {
     /// The processes it keeps, beside which it can make others.
     #[prost(string, repeated, tag = "1")]
     pub processes: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Those it keeps already for isolated components: a GCM that was restarted learns of them from here.
+    /// Processes it keeps already for isolated components: a GCM that was restarted learns of them from
+    /// here.
     #[prost(message, repeated, tag = "2")]
     pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
-    /// Incarnation of the GCM that wanted those; 0 = none. That one itself knows better what it wants now.
+    /// Incarnation of the GCM that wanted them; 0 = none. That GCM itself knows better what it wants now.
     #[prost(uint64, tag = "3")]
     pub term: u64,
 }
-/// What is wanted of a supervisor.
+/// A GCM's orders for a supervisor.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct SuperviseResponse {
     /// Incarnation of the GCM.
     #[prost(uint64, tag = "1")]
     pub term: u64,
-    /// All it is to keep for isolated components; others it kept are to end.
+    /// Processes it is to keep for isolated components; it ends all others that it kept for them.
     #[prost(message, repeated, tag = "2")]
     pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
-    /// Processes it is to end, if they run, and to start again now; told once.
+    /// Processes it is to end, if they run, and to start again now; sent once.
     #[prost(string, repeated, tag = "3")]
     pub restart: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -4739,42 +4779,42 @@ pub struct TellRequest {
     #[prost(message, repeated, tag = "1")]
     pub processes: ::prost::alloc::vec::Vec<ProcessFate>,
 }
-/// How a process stands, as its supervisor knows it.
+/// Status of a process, as its supervisor knows it.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ProcessFate {
     /// Its name.
     #[prost(string, tag = "1")]
     pub process: ::prost::alloc::string::String,
-    /// What became of it.
+    /// Its fate.
     #[prost(enumeration = "Fate", tag = "2")]
     pub fate: i32,
     /// OS process id of the incarnation that runs, or ended last; 0 = none.
     #[prost(uint32, tag = "3")]
     pub pid: u32,
-    /// How it ended last, e.g. "was killed by SIGSEGV (core dumped)"; empty when it never did.
+    /// Last end of the process, e.g. "was killed by SIGSEGV (core dumped)"; empty when it never ended.
     #[prost(string, tag = "4")]
     pub last_exit: ::prost::alloc::string::String,
-    /// How often it was started again.
+    /// Number of times it was started again.
     #[prost(uint32, tag = "5")]
     pub restarts: u32,
 }
 /// Answers Tell.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct TellResponse {
-    /// Incarnation of the GCM: another one has to be told everything anew.
+    /// Incarnation of the GCM: a new one has to be told everything again.
     #[prost(uint64, tag = "1")]
     pub term: u64,
 }
 /// From the LCM.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct AttachRequest {
-    /// What it says.
+    /// The message.
     #[prost(oneof = "attach_request::Message", tags = "1, 2, 3, 4")]
     pub message: ::core::option::Option<attach_request::Message>,
 }
 /// Nested message and enum types in `AttachRequest`.
 pub mod attach_request {
-    /// What it says.
+    /// The message.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Message {
         /// First message of the stream.
@@ -4794,13 +4834,13 @@ pub mod attach_request {
 /// From the GCM.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct AttachResponse {
-    /// What it says.
+    /// The message.
     #[prost(oneof = "attach_response::Message", tags = "1, 2, 3, 4")]
     pub message: ::core::option::Option<attach_response::Message>,
 }
 /// Nested message and enum types in `AttachResponse`.
 pub mod attach_response {
-    /// What it says.
+    /// The message.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Message {
         /// Answer to Hello.
@@ -4817,7 +4857,7 @@ pub mod attach_response {
         Refused(super::RefusalInfo),
     }
 }
-/// Who attaches.
+/// First message of an LCM that attaches.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Hello {
     /// Name of the process.
@@ -4832,13 +4872,13 @@ pub struct Hello {
     /// OS process id.
     #[prost(uint32, tag = "4")]
     pub pid: u32,
-    /// How everything it has stands.
+    /// Status of everything it has.
     #[prost(message, optional, tag = "5")]
     pub inventory: ::core::option::Option<Inventory>,
-    /// What it was told to have: a GCM that was restarted learns it from here.
+    /// Components and connections it was told to have: a GCM that was restarted learns them from here.
     #[prost(message, optional, tag = "6")]
     pub slice: ::core::option::Option<Slice>,
-    /// The number this incarnation was given before, 0 = none: it keeps it.
+    /// The number this incarnation was given before, which it keeps; 0 = none.
     #[prost(uint64, tag = "7")]
     pub epoch: u64,
 }
@@ -4862,7 +4902,7 @@ pub struct Heartbeat {
     #[prost(uint64, tag = "1")]
     pub sequence: u64,
 }
-/// How everything an LCM has stands.
+/// Status of everything an LCM has.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Inventory {
     /// The components.
@@ -4871,26 +4911,26 @@ pub struct Inventory {
     /// The classes its plugin directories offer.
     #[prost(message, repeated, tag = "2")]
     pub classes: ::prost::alloc::vec::Vec<ClassInfo>,
-    /// How other processes reach it; absent = not at all.
+    /// The way by which other processes reach it; absent = not at all.
     #[prost(message, optional, tag = "3")]
     pub card: ::core::option::Option<Card>,
     /// Halves of connections to other processes.
     #[prost(message, repeated, tag = "4")]
     pub proxies: ::prost::alloc::vec::Vec<ProxyNews>,
-    /// What the process itself is warned of.
+    /// Warnings about the process itself.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// True: nothing new can be made or connected in it.
     #[prost(bool, tag = "6")]
     pub unfit: bool,
 }
-/// How the half of a connection to another process stands.
+/// Status of the half of a connection to another process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ProxyNews {
     /// The connection's number.
     #[prost(uint64, tag = "1")]
     pub connection: u64,
-    /// Which end is there.
+    /// The end that is in this process.
     #[prost(enumeration = "ConnectionEnd", tag = "2")]
     pub end: i32,
     /// The half; absent = it is gone.
@@ -4961,7 +5001,7 @@ pub struct DesiredConnection {
     #[prost(message, optional, tag = "4")]
     pub options: ::core::option::Option<ConnectOptions>,
 }
-/// Something the LCM is to do.
+/// An order to the LCM.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Order {
     /// Its number; the answer carries the same one.
@@ -4970,13 +5010,13 @@ pub struct Order {
     /// Time left for it, ns.
     #[prost(uint64, tag = "2")]
     pub deadline_ns: u64,
-    /// What to do.
+    /// The order.
     #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14")]
     pub order: ::core::option::Option<order::Order>,
 }
 /// Nested message and enum types in `Order`.
 pub mod order {
-    /// What to do.
+    /// The order.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Order {
         /// Carry out a change.
@@ -5000,10 +5040,10 @@ pub mod order {
         /// Figures of every connection.
         #[prost(message, tag = "9")]
         Links(super::LinksOrder),
-        /// The plugins there are.
+        /// List the plugins.
         #[prost(message, tag = "10")]
         Plugins(super::PluginsOrder),
-        /// Everything there is.
+        /// Report everything.
         #[prost(message, tag = "11")]
         Inventory(super::InventoryOrder),
         /// Make the half of a connection to another process.
@@ -5017,13 +5057,13 @@ pub mod order {
         Recheck(super::RecheckOrder),
     }
 }
-/// The places in their periods of components that were given no phase by anybody. The answer tells what steps take.
+/// Places in their periods of components whose phase nobody set. The answer tells how long steps take.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct PhasesOrder {
     /// Components of the process that do not step at 0.
     #[prost(message, repeated, tag = "1")]
     pub given: ::prost::alloc::vec::Vec<GivenPhase>,
-    /// True: nothing is changed, only what steps take is asked.
+    /// True: changes nothing, only asks how long steps take.
     #[prost(bool, tag = "2")]
     pub ask_only: bool,
 }
@@ -5076,7 +5116,7 @@ pub struct LinkOrder {
     #[prost(string, tag = "5")]
     pub class_hash: ::prost::alloc::string::String,
 }
-/// How other processes of a machine reach a process.
+/// The way by which other processes of a machine reach a process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Card {
     /// Its name.
@@ -5085,7 +5125,7 @@ pub struct Card {
     /// Random, one per incarnation of the process.
     #[prost(string, tag = "2")]
     pub instance: ::prost::alloc::string::String,
-    /// Of the machine: one per start of it.
+    /// Boot id of the machine: one per start of it.
     #[prost(string, tag = "3")]
     pub boot: ::prost::alloc::string::String,
     /// The user it runs as.
@@ -5111,7 +5151,7 @@ pub struct RecheckOrder {
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
 }
-/// Asks for everything there is.
+/// Asks for a report of everything.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct InventoryOrder {}
 /// One step of a plan.
@@ -5184,25 +5224,25 @@ pub struct RunChange {
     #[prost(message, optional, tag = "4")]
     pub to: ::core::option::Option<State>,
 }
-/// What became of an order.
+/// Result of an order.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Answer {
     /// Number of the order.
     #[prost(uint64, tag = "1")]
     pub id: u64,
-    /// What became of it.
+    /// The result.
     #[prost(oneof = "answer::Answer", tags = "2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13")]
     pub answer: ::core::option::Option<answer::Answer>,
 }
 /// Nested message and enum types in `Answer`.
 pub mod answer {
-    /// What became of it.
+    /// The result.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Answer {
-        /// It was refused.
+        /// The order was refused.
         #[prost(message, tag = "2")]
         Refused(super::RefusalInfo),
-        /// A change was made; the component stands so.
+        /// A change was made; the component's status after it.
         #[prost(message, tag = "3")]
         Report(super::ComponentReport),
         /// A command was called.
@@ -5276,25 +5316,25 @@ pub struct RefusalInfo {
 /// Something changed by itself.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct News {
-    /// What.
+    /// The news.
     #[prost(oneof = "news::News", tags = "1, 2, 3, 4, 5")]
     pub news: ::core::option::Option<news::News>,
 }
 /// Nested message and enum types in `News`.
 pub mod news {
-    /// What.
+    /// The news.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum News {
-        /// A component stands differently.
+        /// New status of a component.
         #[prost(message, tag = "1")]
         State(super::ComponentReport),
         /// The plugin directories offer this now.
         #[prost(message, tag = "2")]
         Catalog(super::Catalog),
-        /// Somebody logged a line.
+        /// A new log line.
         #[prost(message, tag = "3")]
         Log(super::LogLine),
-        /// The half of a connection to another process stands differently.
+        /// New status of the half of a connection to another process.
         #[prost(message, tag = "4")]
         Proxy(super::ProxyNews),
         /// The process itself is warned of this now.
@@ -5302,38 +5342,38 @@ pub mod news {
         Warnings(super::ProcessWarnings),
     }
 }
-/// What a process itself is warned of.
+/// Warnings about a process itself.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ProcessWarnings {
-    /// In sentences; none = nothing any more.
+    /// Sentences; none = no warnings any more.
     #[prost(string, repeated, tag = "1")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// True: nothing new can be made or connected in it.
     #[prost(bool, tag = "2")]
     pub unfit: bool,
 }
-/// What the plugin directories offer.
+/// Offer of the plugin directories.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Catalog {
     /// The classes.
     #[prost(message, repeated, tag = "1")]
     pub classes: ::prost::alloc::vec::Vec<ClassInfo>,
 }
-/// What a supervisor knows of a process.
+/// Fate of a process, as its supervisor knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum Fate {
     /// Not set.
     Unspecified = 0,
-    /// It runs.
+    /// The process runs.
     Running = 1,
-    /// It ended and is being started again.
+    /// The process ended and is being started again.
     Restarting = 2,
-    /// It ended too often and is given up.
+    /// The process ended too often and is given up.
     Failed = 3,
-    /// It ended and is not started again.
+    /// The process ended and is not started again.
     Ended = 4,
-    /// It was taken down: neither it nor its components belong to the system any more.
+    /// The process was taken down: neither it nor its components belong to the system any more.
     Dismissed = 5,
 }
 impl Fate {
@@ -5424,7 +5464,8 @@ pub mod attach_service_client {
     )]
     use tonic::codegen::*;
     use tonic::codegen::http::Uri;
-    /// Where LCMs attach, and where whoever supervises their processes tells what became of them.
+    /// The service at which LCMs attach, and at which supervisors of their processes report what became of
+    /// them.
     #[derive(Debug, Clone)]
     pub struct AttachServiceClient<T> {
         inner: tonic::client::Grpc<T>,
@@ -5494,8 +5535,8 @@ pub mod attach_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// The LCM says Hello, then answers orders and tells news. Both sides send a heartbeat every 100 ms; after 500 ms of
-        /// silence the other side is lost.
+        /// The LCM says Hello, then answers orders and tells news. Both sides send a heartbeat every 100 ms;
+        /// after 500 ms of silence the peer is lost.
         pub async fn attach(
             &mut self,
             request: impl tonic::IntoStreamingRequest<Message = super::AttachRequest>,
@@ -5520,7 +5561,7 @@ pub mod attach_service_client {
                 .insert(GrpcMethod::new("trocar.v1.AttachService", "Attach"));
             self.inner.streaming(req, path, codec).await
         }
-        /// A supervisor tells how its processes stand. The same may be told any number of times.
+        /// Reports how a supervisor's processes stand. The same report may come any number of times.
         pub async fn tell(
             &mut self,
             request: impl tonic::IntoRequest<super::TellRequest>,
@@ -5542,8 +5583,8 @@ pub mod attach_service_client {
                 .insert(GrpcMethod::new("trocar.v1.AttachService", "Tell"));
             self.inner.unary(req, path, codec).await
         }
-        /// A supervisor asks which processes it is to keep beside its own, for components that are isolated: all of them at
-        /// once, and again whenever that changes. While the stream is open, such components can be created.
+        /// A supervisor asks which processes it is to keep beside its own, for isolated components: all of them
+        /// at once, and again whenever that changes. While the stream is open, such components can be created.
         pub async fn supervise(
             &mut self,
             request: impl tonic::IntoRequest<super::SuperviseRequest>,
@@ -5589,13 +5630,13 @@ pub mod attach_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// The LCM says Hello, then answers orders and tells news. Both sides send a heartbeat every 100 ms; after 500 ms of
-        /// silence the other side is lost.
+        /// The LCM says Hello, then answers orders and tells news. Both sides send a heartbeat every 100 ms;
+        /// after 500 ms of silence the peer is lost.
         async fn attach(
             &self,
             request: tonic::Request<tonic::Streaming<super::AttachRequest>>,
         ) -> std::result::Result<tonic::Response<Self::AttachStream>, tonic::Status>;
-        /// A supervisor tells how its processes stand. The same may be told any number of times.
+        /// Reports how a supervisor's processes stand. The same report may come any number of times.
         async fn tell(
             &self,
             request: tonic::Request<super::TellRequest>,
@@ -5606,14 +5647,15 @@ pub mod attach_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// A supervisor asks which processes it is to keep beside its own, for components that are isolated: all of them at
-        /// once, and again whenever that changes. While the stream is open, such components can be created.
+        /// A supervisor asks which processes it is to keep beside its own, for isolated components: all of them
+        /// at once, and again whenever that changes. While the stream is open, such components can be created.
         async fn supervise(
             &self,
             request: tonic::Request<super::SuperviseRequest>,
         ) -> std::result::Result<tonic::Response<Self::SuperviseStream>, tonic::Status>;
     }
-    /// Where LCMs attach, and where whoever supervises their processes tells what became of them.
+    /// The service at which LCMs attach, and at which supervisors of their processes report what became of
+    /// them.
     #[derive(Debug)]
     pub struct AttachServiceServer<T> {
         inner: Arc<T>,
@@ -6001,7 +6043,8 @@ pub struct ReloadResponse {
 /// Asks for Recheck.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct RecheckRequest {
-    /// The plugin's name, or its file's; empty = every file. One that is named is tried although it was not yet.
+    /// The plugin's name, or its file's; empty = every file. A named file is tried even if it was not tried
+    /// before.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
     /// Only this process; empty = all.
@@ -6014,7 +6057,7 @@ pub struct RecheckResponse {
     /// Revision of the graph.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// The files that were meant, as they stand now.
+    /// The files that were meant, in their present state.
     #[prost(message, repeated, tag = "2")]
     pub plugins: ::prost::alloc::vec::Vec<Plugin>,
     /// Processes that did not answer, and why.
@@ -6688,13 +6731,13 @@ pub mod plugin_service_server {
 /// Asks for Join.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct JoinRequest {
-    /// Wanted name of the process, e.g. "ire"; where it is taken, the first of "ire2", "ire3", … that is free.
+    /// Wanted name of the process, e.g. "ire"; where it is taken, the first free one of "ire2", "ire3", …
     #[prost(string, tag = "1")]
     pub process: ::prost::alloc::string::String,
     /// Name of its component; empty = "shell".
     #[prost(string, tag = "2")]
     pub component: ::prost::alloc::string::String,
-    /// What it is, for people, e.g. "Python 3.11.7 on bench-pc".
+    /// Description for people, e.g. "Python 3.11.7 on bench-pc".
     #[prost(string, tag = "3")]
     pub program: ::prost::alloc::string::String,
     /// OS process id; 0 = unknown.
@@ -6742,7 +6785,7 @@ pub struct RequireResponse {
     /// Number of the connection.
     #[prost(uint64, tag = "3")]
     pub connection: u64,
-    /// What it provides: commands and events with their types, units and ranges.
+    /// Its commands and events with their types, units and ranges.
     #[prost(message, optional, tag = "4")]
     pub provided: ::core::option::Option<ProvidedInterface>,
 }
@@ -6841,8 +6884,8 @@ pub mod guest_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When it ends, both go,
-        /// with all their connections.
+        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When
+        /// the stream ends, both go, with all their connections.
         pub async fn join(
             &mut self,
             request: impl tonic::IntoRequest<super::JoinRequest>,
@@ -6867,8 +6910,9 @@ pub mod guest_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GuestService", "Join"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Adds a required interface with the commands of a provided one to a guest's component, and connects the two. Its
-        /// connection is an ordinary one: it is listed, and Disconnect takes it away, and the interface with it.
+        /// Adds a required interface with the commands of a provided one to a guest's component, and connects
+        /// the two. The connection is an ordinary one: it is listed, and Disconnect takes it away, and the
+        /// interface with it.
         pub async fn require(
             &mut self,
             request: impl tonic::IntoRequest<super::RequireRequest>,
@@ -6893,10 +6937,11 @@ pub mod guest_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GuestService", "Require"));
             self.inner.unary(req, path, codec).await
         }
-        /// Ties a component to this call: when the caller ends it, dies or cannot be reached any more, the component is stopped and
-        /// removed, as by Remove with force. It is held before it is created, so that nothing is left behind whenever the caller dies.
-        /// A later Hold of the same component takes it over, and this one ends; it ends as well when the component is removed. A GCM
-        /// that ends lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
+        /// Ties a component to this call: when the caller ends the call, dies or cannot be reached any more,
+        /// the component is stopped and removed, as by Remove with force. A component is held before it is
+        /// created, so that nothing is left behind whenever the caller dies. A later Hold of the same component
+        /// takes it over, and this one ends; it ends as well when the component is removed. A GCM that ends
+        /// lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
         pub async fn hold(
             &mut self,
             request: impl tonic::IntoRequest<super::HoldRequest>,
@@ -6942,14 +6987,15 @@ pub mod guest_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When it ends, both go,
-        /// with all their connections.
+        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When
+        /// the stream ends, both go, with all their connections.
         async fn join(
             &self,
             request: tonic::Request<super::JoinRequest>,
         ) -> std::result::Result<tonic::Response<Self::JoinStream>, tonic::Status>;
-        /// Adds a required interface with the commands of a provided one to a guest's component, and connects the two. Its
-        /// connection is an ordinary one: it is listed, and Disconnect takes it away, and the interface with it.
+        /// Adds a required interface with the commands of a provided one to a guest's component, and connects
+        /// the two. The connection is an ordinary one: it is listed, and Disconnect takes it away, and the
+        /// interface with it.
         async fn require(
             &self,
             request: tonic::Request<super::RequireRequest>,
@@ -6960,10 +7006,11 @@ pub mod guest_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Ties a component to this call: when the caller ends it, dies or cannot be reached any more, the component is stopped and
-        /// removed, as by Remove with force. It is held before it is created, so that nothing is left behind whenever the caller dies.
-        /// A later Hold of the same component takes it over, and this one ends; it ends as well when the component is removed. A GCM
-        /// that ends lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
+        /// Ties a component to this call: when the caller ends the call, dies or cannot be reached any more,
+        /// the component is stopped and removed, as by Remove with force. A component is held before it is
+        /// created, so that nothing is left behind whenever the caller dies. A later Hold of the same component
+        /// takes it over, and this one ends; it ends as well when the component is removed. A GCM that ends
+        /// lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
         async fn hold(
             &self,
             request: tonic::Request<super::HoldRequest>,

@@ -1,5 +1,5 @@
-// As many arms as are configured, in C++: a plugin whose repeated interfaces have commands, reads and handlers, and a little
-// host that drives it through the tables. Exits with 0 when all is as it should be.
+// As many arms as are configured, in C++: a plugin whose repeated interfaces have commands, reads and
+// handlers, and a little host that drives it through the tables. Exits with 0 when all is as it should be.
 #include "trocar_plugin.hpp"
 
 #include <cstdio>

@@ -1,4 +1,5 @@
-// One of everything in C++, and a little host that drives it through the tables: exits with 0 when all is as it should be.
+// One of everything in C++, and a little host that drives it through the tables: exits with 0 when all is as
+// it should be.
 #include "trocar_plugin.hpp"
 
 #include <cstdio>

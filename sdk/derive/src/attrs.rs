@@ -1,6 +1,7 @@
 //! Small readers of attributes and names, shared by all derives.
 //!
-//! Invariant: numbers of attributes stay text (`0.1` is never rounded through a float on its way to the manifest).
+//! Invariant: numbers of attributes stay text (`0.1` is never rounded through a float on its way to the
+//! manifest).
 
 use proc_macro2::{Ident, Span, TokenStream};
 use quote::quote_spanned;
@@ -30,7 +31,7 @@ pub(crate) fn text_attr(attrs: &[Attribute], name: &str) -> syn::Result<String> 
     }
 }
 
-/// A coordinate frame, and where the author says it.
+/// A coordinate frame, and the author's position of it.
 #[derive(Default)]
 pub(crate) struct Frame {
     pub(crate) name: String,
@@ -38,7 +39,7 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// Of `#[frame("retina")]`; empty when the attribute is absent.
+    /// Reads `#[frame("retina")]`; empty when the attribute is absent.
     pub(crate) fn of(attrs: &[Attribute]) -> syn::Result<Frame> {
         let Some(attr) = attrs.iter().find(|a| a.path().is_ident("frame")) else {
             return Ok(Frame::default());
@@ -53,7 +54,7 @@ impl Frame {
         Ok(Frame { name: text.value(), span: Some(text.span()) })
     }
 
-    /// The same, and the attribute is taken off: what stays behind is no business of ours.
+    /// Reads the frame and takes the attribute off: what stays behind is none of our business.
     pub(crate) fn take(attrs: &mut Vec<Attribute>) -> syn::Result<Frame> {
         let frame = Frame::of(attrs)?;
         attrs.retain(|a| !a.path().is_ident("frame"));
@@ -106,7 +107,7 @@ pub(crate) fn unit(text: &LitStr) -> syn::Result<String> {
     }
 }
 
-/// A tag of those allowed there; the host enforces it at Connect, so a slip of the pen must not pass.
+/// Checks a tag against the allowed ones; the host enforces it at Connect, so a typing error must not pass.
 pub(crate) fn tag(text: &LitStr, allowed: &[&str]) -> syn::Result<String> {
     let value = text.value();
     if allowed.contains(&value.as_str()) {
@@ -131,7 +132,7 @@ pub(crate) fn check_pattern(pattern: &str, span: Span) -> syn::Result<()> {
     check_name(&pattern.replacen("{}", "x", 1), span)
 }
 
-/// True for the name of something that is repeated.
+/// Tells whether this is the name of something repeated.
 pub(crate) fn is_many(pattern: &str) -> bool {
     pattern.contains("{}")
 }
@@ -141,7 +142,8 @@ pub(crate) fn ident_part(name: &str) -> String {
     name.replace('-', "_").replace("{}", "__EACH__")
 }
 
-/// The same hash as `trocar_sdk::__private::interface_key`, so that an undeclared interface is found at compile time.
+/// The same hash as `trocar_sdk::__private::interface_key`, so that an undeclared interface is found at
+/// compile time.
 pub(crate) fn interface_key(name: &str) -> u64 {
     name.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }

@@ -1,4 +1,4 @@
-//! The `#[component(…)]` attribute: what a class says about itself.
+//! The `#[component(…)]` attribute: a class's facts about itself.
 //!
 //! Invariant: every default of the class (period, model) is decided here, once.
 
@@ -21,7 +21,7 @@ pub(crate) struct ClassAttr {
     pub(crate) doc: String,
     pub(crate) model: String,
     pub(crate) period_ns: u64,
-    /// Where the class says its rate.
+    /// Position of the rate in the source; none when the class says no rate.
     rate: Option<Span>,
     pub(crate) max_step_ns: u64,
     /// Models it is made for; empty = any.
@@ -31,7 +31,7 @@ pub(crate) struct ClassAttr {
     /// Variant of `desc::Safety`.
     pub(crate) safety: &'static str,
     pub(crate) hardware: bool,
-    /// Where the class says so.
+    /// Position of this word in the source; none when the class does not say it.
     pub(crate) safe_from_any_thread: Option<Span>,
     pub(crate) starts_programs: bool,
     pub(crate) provides: Vec<(String, Span)>,

@@ -1,6 +1,7 @@
 //! `#[derive(Component)]`: the class description, its state struct, and the way from ids to fields.
 //!
-//! Invariant: ids and slot indices are positions in the description, so both are written in one pass over the same lists.
+//! Invariant: ids and slot indices are positions in the description, so both are written in one pass over the
+//! same lists.
 
 use crate::attrs;
 use crate::class::ClassAttr;
@@ -187,7 +188,7 @@ fn port_type(p: &Port) -> TokenStream {
     quote!(::trocar_sdk::__private::port_type::<#ty>(#format, #max_bytes))
 }
 
-/// What is said to be in a coordinate frame has coordinates.
+/// Returns the check that every port with a coordinate frame has coordinates.
 fn frames(fields: &ComponentFields) -> TokenStream {
     let streams = fields.inputs.iter().chain(&fields.outputs).map(|p| {
         let ty = port_type(p);
@@ -284,7 +285,8 @@ fn create(fields: &ComponentFields) -> TokenStream {
     }
 }
 
-/// A class that says `safe_from_any_thread` does not compile without its handle; the mistake is shown at that word.
+/// Checks that a class that says `safe_from_any_thread` has its handle; the compiler shows the mistake at
+/// that word.
 fn safe_handle(class: &ClassAttr) -> TokenStream {
     let Some(span) = class.safe_from_any_thread else { return TokenStream::new() };
     let handle = quote_spanned!(span => <Self as ::trocar_sdk::SafeFromAnyThread>::safe_handle(self));
@@ -405,7 +407,8 @@ fn binds<'a>(kind: &str, ports: impl Iterator<Item = &'a Port>) -> TokenStream {
     quote!(#(#lines)*)
 }
 
-/// Empty parts that an inherent constant of the same name (from `#[provides]`, `#[handles]`) takes precedence over.
+/// Empty parts that an inherent constant of the same name (from `#[provides]`, `#[handles]`) takes precedence
+/// over.
 fn fallbacks(class: &Ident, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> TokenStream {
     let provides = provided.all().map(Interface::provides_part);
     let handles = required.all().map(Interface::handles_part);

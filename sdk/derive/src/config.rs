@@ -1,6 +1,7 @@
 //! `#[derive(Config)]`: the JSON Schema of a configuration struct and its reader.
 //!
-//! Invariant: the schema is written from the type's tokens, because const strings cannot be built from generics.
+//! Invariant: the schema is written from the type's tokens, because const strings cannot be built from
+//! generics.
 
 mod fit;
 
@@ -102,7 +103,8 @@ fn settings(field: &Field) -> syn::Result<Settings> {
     Ok(s)
 }
 
-/// The inside of the field's schema object. Limits of list items move into `items`; those of plain numbers stay in `s`.
+/// Returns the inside of the field's schema object. Limits of list items move into `items`; those of plain
+/// numbers stay in `s`.
 fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
     let enumeration = |s: &Settings| {
         if s.one_of.is_empty() { String::new() } else { format!(",\"enum\":{}", s.one_of) }
@@ -134,7 +136,7 @@ fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
                     if is_option(of) {
                         return Err(syn::Error::new_spanned(ty, "one Option is enough: JSON has one null"));
                     }
-                    // Of a list the choice is that of its items.
+                    // For a list, the choice applies to its items.
                     if !s.one_of.is_empty() && !is_list(of) {
                         s.one_of.insert_str(s.one_of.len() - 1, ",null");
                     }

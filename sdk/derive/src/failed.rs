@@ -1,7 +1,7 @@
-//! What stands in for code that a mistake kept from being generated.
+//! Substitutes for code that a mistake kept from being generated.
 //!
-//! Invariant: beside its own message a mistake leaves nothing that the compiler could complain of: what the author's other
-//! code relies on is there, describes nothing, and never runs.
+//! Invariant: beside its own message a mistake leaves nothing that the compiler could complain of: the names
+//! that the author's other code relies on are there, describe nothing, and never run.
 
 use proc_macro2::TokenStream;
 use quote::{format_ident, quote};
@@ -96,7 +96,8 @@ pub(crate) fn config(input: &DeriveInput) -> TokenStream {
     }
 }
 
-/// For `#[provides]` and `#[handles]`: the methods, as the author calls them from elsewhere, without our attributes.
+/// For `#[provides]` and `#[handles]`: the methods, as the author calls them from elsewhere, without our
+/// attributes.
 pub(crate) fn methods(mut item: ItemImpl) -> TokenStream {
     const OURS: [&str; 6] = ["command", "read", "on", "arg", "frame", "unit"];
     let strip = |attrs: &mut Vec<Attribute>| attrs.retain(|a| !OURS.iter().any(|o| a.path().is_ident(o)));

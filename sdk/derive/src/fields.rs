@@ -14,7 +14,7 @@ use trocar_plugin_api::limits::{MAX_FIFO, MAX_FRAME};
 
 pub(crate) struct Port {
     pub(crate) ident: Ident,
-    /// Of a repeated port: the type of one.
+    /// Type of the port; for a repeated port, the type of one.
     pub(crate) ty: Type,
     /// The field is a `Many<…>`.
     pub(crate) many: bool,
@@ -160,7 +160,7 @@ fn misplaced(field: &Field, role: &str) -> syn::Result<()> {
     Ok(())
 }
 
-/// The SDK's own handle, by the name it has there.
+/// Tells whether the type is the SDK's own handle, by its name there.
 fn is_host(ty: &Type) -> bool {
     let Type::Path(path) = ty else { return false };
     let names: Vec<String> = path.path.segments.iter().map(|s| s.ident.to_string()).collect();
@@ -178,7 +178,7 @@ fn inside_many(ty: &Type) -> Option<&Type> {
     }
 }
 
-/// Repeated inputs and outputs are called as the list says, unless a pattern is given.
+/// Names repeated inputs and outputs as the list says, unless a pattern is given.
 fn repeated(mut port: Port) -> syn::Result<Port> {
     if port.many && !port.set.named {
         port.set.name = "{}".to_string();

@@ -1,7 +1,8 @@
-//! The interfaces of a class, put together from its `#[component]` attribute and the fields that belong to them.
+//! The interfaces of a class, put together from its `#[component]` attribute and the fields that belong to
+//! them.
 //!
-//! Invariant: interfaces with fixed names come before repeated ones, so that ids of the fixed ones never move; repeated
-//! provided ones that share a list stand together.
+//! Invariant: interfaces with fixed names come before repeated ones, so that ids of the fixed ones never
+//! move; repeated provided ones that share a list stand together.
 
 use crate::attrs;
 use crate::class::ClassAttr;
@@ -17,7 +18,7 @@ pub(crate) struct Interface<'a> {
     pub(crate) doc: String,
     pub(crate) optional: bool,
     pub(crate) ports: Vec<&'a Port>,
-    /// Of a repeated interface: the field that holds the list of names.
+    /// Field with the list of names of a repeated interface.
     pub(crate) names: Option<&'a Ident>,
 }
 
@@ -55,8 +56,8 @@ impl<'a> Interfaces<'a> {
         self.fixed.iter().chain(&self.many)
     }
 
-    /// The repeated ones by their lists: those of one list are described name by name, so that a read, which knows no
-    /// list, still finds its way.
+    /// Returns the repeated ones by their lists: those of one list are described name by name, so that a
+    /// read, which knows no list, still finds its way.
     pub(crate) fn groups(&self) -> impl Iterator<Item = &[Interface<'a>]> {
         self.many.chunk_by(|a, b| a.names == b.names)
     }

@@ -1,7 +1,8 @@
 //! Repeated ports and interfaces: the lists behind them, their slots and the way from their ids to methods.
 //!
 //! Invariant: slots are counted by the lists described last, ids by those in force since `bind`, as the
-//! instance keeps them apart from the fields; both behind what is fixed, in the order of the description.
+//! instance keeps them apart from the fields; both begin behind the fixed part, in the order of the
+//! description.
 
 use crate::fields::{ComponentFields, Port};
 use crate::interfaces::{Interface, Interfaces};
@@ -87,19 +88,19 @@ pub(crate) fn binds(
     quote!(#(#lists)* #inputs #outputs #functions #events)
 }
 
-/// A list takes over what the host was told of it, whatever became of the field meanwhile.
+/// Makes a list take over what the host was told of it, independent of the field's later changes.
 fn adopt(list: &Ident, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> TokenStream {
     let of = |all: &Interfaces<'_>| all.many.iter().position(|i| i.names == Some(list));
     let told = match (of(provided), of(required)) {
         (Some(at), _) => names_of("provided", at),
         (None, Some(at)) => names_of("required", at),
-        // No interface is for it.
+        // No interface uses the list.
         (None, None) => quote!(&::std::vec::Vec::from(self.#list.wanted())),
     };
     quote!(self.#list.adopt(#told);)
 }
 
-/// The names that the host was told of one list.
+/// Returns the names of one list that the host was told.
 fn names_of(kind: &str, at: usize) -> TokenStream {
     let kind = format_ident!("{kind}");
     quote!(::trocar_sdk::__private::names_of(&binder.lists().#kind, #at))
@@ -169,7 +170,7 @@ pub(crate) fn handlers(required: &Interfaces<'_>) -> TokenStream {
     quote!(#(#lines)*)
 }
 
-/// Per interface: its members, and what runs one of them.
+/// Returns, per interface, its members and the code that runs one of them.
 fn parts(
     group: &[Interface<'_>],
     part: impl Fn(&Interface<'_>) -> Ident,
@@ -193,7 +194,7 @@ fn dispatch(names: &TokenStream, parts: &[(TokenStream, TokenStream)]) -> TokenS
     }
 }
 
-/// Which of the interfaces of a list is meant, and which member of which of those that share it.
+/// Finds which of the interfaces of a list is meant, and which member of which of those that share it.
 fn within(parts: &[(TokenStream, TokenStream)], this: &TokenStream) -> TokenStream {
     let steps = parts.iter().map(|(members, run)| {
         quote! {
@@ -209,7 +210,7 @@ fn within(parts: &[(TokenStream, TokenStream)], this: &TokenStream) -> TokenStre
     }
 }
 
-/// Reads know no instance, so only those of the first list may have them: its ids go on to the end.
+/// Reads know no instance, so only interfaces of the first list may have them: its ids go on to the end.
 pub(crate) fn read(provided: &Interfaces<'_>) -> TokenStream {
     let Some(first) = provided.groups().next() else { return TokenStream::new() };
     let parts = parts(first, |i| i.provides_part(), "commands", "read");
@@ -231,7 +232,7 @@ pub(crate) fn checks(class: &Ident, provided: &Interfaces<'_>) -> TokenStream {
              first in provides(…), give both one #[names(…)] list, or make these commands with a result",
             i.name
         );
-        // It is a format string.
+        // The message is a format string.
         let why = why.replace('{', "{{").replace('}', "}}");
         quote!(assert!(!::trocar_sdk::__private::has_reads(<#class>::#part.commands), #why);)
     });

@@ -1,7 +1,7 @@
 //! `#[provides("interface")]`: the commands and reads of one provided interface.
 //!
-//! Invariant: what a command is (void, write, …, read) follows from its signature alone; the `impl` block itself stays
-//! as the author wrote it, minus our attributes.
+//! Invariant: the kind of a command (void, write, …, read) follows from its signature alone; the `impl` block
+//! itself stays as the author wrote it, minus our attributes.
 
 use crate::attrs::{self, Frame};
 use proc_macro2::{Ident, Span, TokenStream};
@@ -339,7 +339,7 @@ impl Command {
         let (id, method) = (id as u32, &self.method);
         let this = if self.is_read { quote!(state) } else { quote!(this) };
         let (arg_ty, pattern, call) = call_of(&self.arg, quote!(<#class>::#method), this, self.many);
-        // Why `run` may be called: the description above names the very types used here.
+        // The reason why `run` may be called: the description above names the very types used here.
         quote!(#id => unsafe { call.run::<#arg_ty, _>(|#pattern| #call) })
     }
 }
@@ -350,8 +350,7 @@ impl Argument {
         self.frame.check(&[quote!(::core::option::Option::Some(<#ty as ::trocar_sdk::Payload>::DESC))])
     }
 
-    /// Checks that limits and a unit are said of an argument that has numbers: elsewhere they would never
-    /// hold.
+    /// Checks that an argument with limits or a unit has numbers: elsewhere they would never hold.
     fn check_numbers(&self) -> TokenStream {
         let ty = &self.ty;
         let check = |said: Option<Span>, fits: &str| {

@@ -1,5 +1,5 @@
-//! What no host would list does not compile: every refusal that the tokens alone give away, with its sentence.
-//! What needs the types is in `sdk/rust/tests/refused.rs`.
+//! Classes that no host would list do not compile: every refusal that the tokens alone give away, with its
+//! sentence. Refusals that need the types are in `sdk/rust/tests/refused.rs`.
 
 use crate::{component, handles, payload, provides};
 use syn::parse_str;

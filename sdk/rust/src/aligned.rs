@@ -1,7 +1,7 @@
 //! Bytes lent to a host where any payload may begin, without an allocation.
 //!
-//! Invariant: what the other side reads or writes begins at a multiple of [`ALIGN`], whatever the caller's slice does; a copy,
-//! where one is needed, lies on the stack.
+//! Invariant: bytes that the other side reads or writes begin at a multiple of [`ALIGN`], whatever the
+//! caller's slice does; a copy, where one is needed, lies on the stack.
 
 use core::mem::MaybeUninit;
 use trocar_plugin_api::limits::MAX_PAYLOAD;
@@ -50,7 +50,8 @@ fn read_copied<const WORDS: usize, R>(bytes: &[u8], f: impl FnOnce(*const u8) ->
 fn write_copied<const WORDS: usize, R>(bytes: &mut [u8], f: impl FnOnce(*mut u8) -> R) -> R {
     let mut room = Room::<WORDS>::of(bytes);
     let answer = f(room.start());
-    // SAFETY: the room began with as many bytes of the caller's, so they are there whether `f` wrote them or not.
+    // SAFETY: the room began with as many bytes of the caller's, so they are there whether `f` wrote them or
+    // not.
     unsafe { bytes.as_mut_ptr().copy_from_nonoverlapping(room.start(), bytes.len()) };
     answer
 }

@@ -1,7 +1,8 @@
-//! Ports without a type of their own: they take that of what they are connected to (recorder, player, bridges).
+//! Ports without a type of their own: they take the type of what they are connected to (recorder, player,
+//! bridges).
 //!
-//! Invariant: the host compares sizes with what is connected at that moment, so a connection that changes between two
-//! calls is an answer, never a wrong read. No author needs `unsafe` here.
+//! Invariant: the host compares sizes with the type connected at that moment, so a connection that changes
+//! between two calls gives an answer, never a wrong read. No author needs `unsafe` here.
 
 use crate::aligned;
 use crate::dynamic::{AnyCommand, AnyType, Place, scan};
@@ -39,8 +40,9 @@ pub struct AnyView<'a> {
     slot: &'a InSlot,
 }
 
-/// A frame that is held, see [`AnyView::hold`]; dropped, it goes back to its source. It outlives its connection, its source and the
-/// component's stop; threads that have some must have ended when the component is destroyed, as all of its threads.
+/// A frame that is held, see [`AnyView::hold`]; when dropped, it goes back to its source. It outlives its
+/// connection, its source and the component's stop; threads that hold one must have ended when the component
+/// is destroyed, as all of its threads.
 pub struct HeldFrame(Held);
 
 // SAFETY: its bytes stay as they are, and any thread may give it back.
@@ -72,8 +74,8 @@ impl Drop for HeldFrame {
 }
 
 impl AnyView<'_> {
-    /// The bytes of the plain value, or of the header of a frame: [`AnyType::to_json`] and [`crate::Place::number`] read
-    /// them. Empty on a host older than ABI 1.1.
+    /// The bytes of the plain value, or of the header of a frame: [`AnyType::to_json`] and
+    /// [`crate::Place::number`] read them. Empty on a host older than ABI 1.1.
     pub fn value(&self) -> &[u8] {
         if self.len == 0 || self.view.header.is_null() {
             return &[];
@@ -91,9 +93,10 @@ impl AnyView<'_> {
         unsafe { core::slice::from_raw_parts(self.view.bytes, self.view.len as usize) }
     }
 
-    /// Holds the frame beyond this view, for any thread: nothing is copied, and its source has one frame less to fill until it is
-    /// dropped. None for plain samples, where few of the source's frames would stay free (of another process one is held at a time),
-    /// and on a host older than ABI 1.2: then copy what you need. For `step`.
+    /// Holds the frame beyond this view, for any thread: nothing is copied, and until it is dropped its
+    /// source has one frame less to fill. None for plain samples, where few of the source's frames would stay
+    /// free (of another process one is held at a time), and on a host older than ABI 1.2: then copy what you
+    /// need. For `step`.
     pub fn hold(&self) -> Option<HeldFrame> {
         unsafe extern "C" fn nothing(_: u64) {}
         if !has_entry(self.slot.struct_size, offset_of!(InSlot, hold), ENTRY) {
@@ -121,13 +124,14 @@ impl AnyView<'_> {
         self.view.seq
     }
 
-    /// Stands for the connection the sample came by: when it differs from the last sample's, the type may be another.
+    /// Stands for the connection the sample came by: when it differs from the last sample's, the type may be
+    /// another.
     pub fn source(&self) -> u64 {
         self.view.token
     }
 
-    /// Where the number at `path` lies in samples of this connection, as [`AnyType::place`] says. Allocates nothing: for
-    /// `step`, once per connection, for it reads the description of the type.
+    /// Finds the place of the number at `path` in samples of this connection, as [`AnyType::place`] does.
+    /// Allocates nothing: for `step`, once per connection, because it reads the description of the type.
     pub fn place(&self, path: &str) -> Option<Place> {
         struct Asked<'a> {
             path: &'a str,
@@ -152,7 +156,7 @@ impl AnyView<'_> {
         match asked.pieces {
             _ if status != STATUS_OK => None,
             0 | 1 => asked.found,
-            // No host of ours tells it in pieces; of one that does a copy is made.
+            // No host of ours gives it in pieces; from a host that does, a copy is made.
             // SAFETY: both belong to one valid slot.
             _ => AnyType::of_port(&unsafe { ask_type(type_of, ctx) }?).ok()?.place(path),
         }
@@ -179,7 +183,8 @@ impl In<Any> {
         Some(AnyView { view, len: len as usize, slot })
     }
 
-    /// The connected type; none while unconnected. Allocates: not for `step`, where [`AnyView::place`] finds a number.
+    /// The connected type; none while unconnected. Allocates: not for `step`, where [`AnyView::place`] finds
+    /// a number.
     pub fn ty(&self) -> Option<AnyType> {
         self.type_json().and_then(|text| AnyType::of_port(&text).ok())
     }
@@ -192,9 +197,9 @@ impl In<Any> {
 }
 
 impl Out<Any> {
-    /// Publishes a plain value given as bytes of the connected type. The stamp may be invalid: then it is the begin of
-    /// this step. `InvalidArgument` when the size is not the type's, `Unbound` while unconnected, `Disabled` on a host
-    /// older than ABI 1.1.
+    /// Publishes a plain value given as bytes of the connected type. An invalid stamp is replaced by the
+    /// begin of this step. `InvalidArgument` when the size is not the type's, `Unbound` while unconnected,
+    /// `Disabled` on a host older than ABI 1.1.
     pub fn write_bytes(&self, value: &[u8], stamp: Stamp) -> Outcome {
         // SAFETY: attach demands a valid slot, and the stub is static.
         let slot = unsafe { &*self.slot };
@@ -272,13 +277,14 @@ impl AnyFunction {
         self.type_json().and_then(|text| AnyCommand::of_function(&text).ok())
     }
 
-    /// Without waiting and without a result; an empty slice for a command without argument. `InvalidArgument` when the
-    /// size is not the argument's, `Disabled` on a host older than ABI 1.1. Allocates nothing: for `step`.
+    /// Sends without waiting and without a result; an empty slice for a command without argument.
+    /// `InvalidArgument` when the size is not the argument's, `Disabled` on a host older than ABI 1.1.
+    /// Allocates nothing: for `step`.
     pub fn send_bytes(&self, arg: &[u8]) -> Outcome {
         self.ask(arg, &mut [], core::ptr::null_mut())
     }
 
-    /// Waits for the result, at most until the connection's deadline, and gives its bytes. Allocates.
+    /// Waits for the result, at most until the connection's deadline, and returns its bytes. Allocates.
     ///
     /// # Errors
     /// The outcome and the peer's sentence; `InvalidArgument` when the size is not the argument's.
@@ -287,7 +293,7 @@ impl AnyFunction {
         self.call_as(&command, arg)
     }
 
-    /// As [`AnyFunction::call_bytes`] with JSON; null stands for no argument and for no result.
+    /// Calls as [`AnyFunction::call_bytes`] does, with JSON; null stands for no argument and for no result.
     ///
     /// # Errors
     /// As `call_bytes`; the reason says where the value does not fit the argument's type.
@@ -305,11 +311,12 @@ impl AnyFunction {
         Ok(command.ret.as_ref().and_then(|ty| ty.to_json(&ret)).unwrap_or_default())
     }
 
-    /// As [`AnyFunction::call_bytes`], with the result in `ret`, whose length has to be the result's. Allocates nothing, but
-    /// for the sentence of a peer that refuses: for `step`.
+    /// Calls as [`AnyFunction::call_bytes`], with the result in `ret`, whose length has to be the result's.
+    /// Allocates nothing, except for the sentence of a peer that refuses: for `step`.
     ///
     /// # Errors
-    /// As `call_bytes`, and `InvalidArgument` when the length of `ret` is not the result's; what `ret` holds then is unknown.
+    /// As `call_bytes`, and `InvalidArgument` when the length of `ret` is not the result's; what `ret` holds
+    /// then is unknown.
     pub fn call_into(&self, arg: &[u8], ret: &mut [u8]) -> Result<(), CallError> {
         waiting(Duration::ZERO, |opts| self.ask(arg, ret, opts))
     }
@@ -332,7 +339,8 @@ impl AnyFunction {
             let to = if len > 0 { to.cast() } else { core::ptr::null_mut() };
             aligned::reading(arg, |from| {
                 let bytes = Bytes { ptr: from, len: arg.len() };
-                // SAFETY: the entry lies inside the slot and compares both sizes; all pointers live through the call.
+                // SAFETY: the entry lies inside the slot and compares both sizes; all pointers live through
+                // the call.
                 Outcome::from(unsafe { (slot.call_bytes)(slot.ctx, bytes, to, len, opts) })
             })
         });

@@ -1,6 +1,7 @@
 //! Commands, reads and events from ids and pointers to typed methods.
 //!
-//! Invariant: the types a description names and the types a dispatch uses come from the same tokens of the same method.
+//! Invariant: the types a description names and the types a dispatch uses come from the same tokens of the
+//! same method.
 
 use crate::component::Class;
 use crate::guard;
@@ -10,7 +11,7 @@ use core::fmt::Display;
 use trocar_plugin_api::abi::{self, ErrBuf, Status};
 use trocar_plugin_api::desc::{CommandDesc, CommandKind, HandlerDesc, TypeDesc};
 
-/// A payload or `()`: what a command takes or gives.
+/// A payload or `()`: the argument or result of a command.
 ///
 /// # Safety
 /// `DESC` is none exactly for zero-sized `()`, and the pointers point to a value of the described type.
@@ -63,7 +64,7 @@ unsafe impl Value for () {
     }
 }
 
-/// What a command or read may return: a value, nothing, or a `Result` of these with an error that can be shown.
+/// Result of a command or read: a value, nothing, or a `Result` of these with an error that can be shown.
 pub trait Answer {
     type Value: Value;
     #[doc(hidden)]
@@ -115,8 +116,9 @@ pub struct Call {
 
 impl Call {
     /// # Safety
-    /// `arg` points to a value of the id's argument type or is null when it has none, `ret` to room for its return
-    /// value or is null when nobody wants it, `err` to an error buffer or is null; all for the whole call.
+    /// `arg` points to a value of the id's argument type or is null when it has none, `ret` to room for its
+    /// return value or is null when nobody wants it, `err` to an error buffer or is null; all for the whole
+    /// call.
     #[inline]
     pub(crate) unsafe fn new(arg: *const c_void, ret: *mut c_void, err: *mut ErrBuf) -> Call {
         Call { arg, ret, err }
@@ -171,7 +173,7 @@ pub const fn has_reads(commands: &[CommandDesc]) -> bool {
     false
 }
 
-/// What `#[provides]` says about one interface of class `C`.
+/// Content of `#[provides]` for one interface of class `C`.
 pub struct ProvidedPart<C: Class> {
     pub doc: &'static str,
     pub tag: &'static str,
@@ -192,7 +194,7 @@ impl<C: Class> ProvidedPart<C> {
     };
 }
 
-/// What `#[handles]` says about one required interface of class `C`.
+/// Content of `#[handles]` for one required interface of class `C`.
 pub struct HandlesPart<C: Class> {
     pub doc: &'static str,
     pub handlers: &'static [HandlerDesc],

@@ -1,6 +1,7 @@
-//! What a component's author implements, and what the derive adds to it.
+//! Methods that a component's author implements, and the additions of the derive.
 //!
-//! Invariant: the host enters one instance from one thread at a time, so methods take `&mut self` and need no locks.
+//! Invariant: the host enters one instance from one thread at a time, so methods take `&mut self` and need no
+//! locks.
 
 use crate::call::Call;
 use crate::config::JsonObject;
@@ -23,7 +24,8 @@ pub type Result<T = (), E = Error> = std::result::Result<T, E>;
 
 /// The entries of a component; override what you need.
 pub trait Component {
-    /// The whole configuration was checked and is in the `#[config]` field. On an error the old one comes back.
+    /// The whole configuration was checked and is in the `#[config]` field. On an error the old one comes
+    /// back.
     fn configure(&mut self) -> Result {
         Ok(())
     }
@@ -34,12 +36,13 @@ pub trait Component {
     fn stop(&mut self) -> Result {
         Ok(())
     }
-    /// Goes on from a stop with the run-time state that is there.
+    /// Goes on after a stop with the run-time state that is there.
     fn resume(&mut self) -> Result {
         Ok(())
     }
-    /// Brings the device to its safe condition. Called on FAULT, Stop, peer loss and shutdown; short, never waits. Not called
-    /// for a class with `safe_from_any_thread`: that one has [`crate::SafeFromAnyThread`].
+    /// Brings the device to its safe condition. Called on FAULT, Stop, peer loss and shutdown; short, never
+    /// waits. Not called for a class with `safe_from_any_thread`: such a class has
+    /// [`crate::SafeFromAnyThread`].
     fn make_safe(&mut self) -> Result {
         Ok(())
     }
@@ -48,23 +51,25 @@ pub trait Component {
         let _ = tick;
         Ok(())
     }
-    /// Lists of names set before are in force now, in [`crate::Many`] and [`crate::Names`]: size here what belongs to
-    /// them. After `configure` or [`Host::ports_changed`], between two steps, when a list has become another.
+    /// Lists of names set before are in force now, in [`crate::Many`] and [`crate::Names`]: size here what
+    /// belongs to them. Called after `configure` or [`Host::ports_changed`], between two steps, when a list
+    /// has changed.
     fn ports_changed(&mut self) {}
     /// The answer to a service asked for with [`Host::services`] or [`Host::service`].
     fn answered(&mut self, reply: ServiceReply) -> Result {
         let _ = reply;
         Ok(())
     }
-    /// The same as raw JSON, before it is read; by itself it calls [`Component::answered`].
+    /// The same answer as raw JSON, before it is read; the default calls [`Component::answered`].
     fn service_reply(&mut self, token: u64, reply: &str) -> Result {
         self.answered(ServiceReply::parse(token, reply))
     }
-    /// What must survive a swap and is not in a `#[state]` field.
+    /// Returns what must survive a swap and is not in a `#[state]` field.
     fn snapshot(&self) -> Vec<u8> {
         Vec::new()
     }
-    /// Takes what [`Component::snapshot`] of the former version gave; `#[state]` fields are already restored.
+    /// Takes the output of the former version's [`Component::snapshot`]; `#[state]` fields are already
+    /// restored.
     fn restore(&mut self, snapshot: &[u8]) -> Result {
         let _ = snapshot;
         Ok(())
@@ -90,7 +95,7 @@ pub unsafe trait Class: Component + Send + Sized + 'static {
 
     #[doc(hidden)]
     fn create(host: Host) -> Self;
-    /// Of a class with `safe_from_any_thread`.
+    /// Returns the handle of a class with `safe_from_any_thread`.
     #[doc(hidden)]
     fn safe_handle(&self) -> Option<Arc<dyn MakeSafe>> {
         None
@@ -109,14 +114,14 @@ pub unsafe trait Class: Component + Send + Sized + 'static {
     fn read(row: &Self::State, id: u32, call: &mut Call) -> Status;
     #[doc(hidden)]
     fn on_event(&mut self, id: u32, lists: &Layout, call: &mut Call) -> Status;
-    /// The lists of names behind what is repeated.
+    /// Returns the lists of names behind the repeated parts.
     #[doc(hidden)]
     fn lists(&self) -> Lists<'_> {
         Lists { inputs: Vec::new(), outputs: Vec::new(), required: Vec::new(), provided: Vec::new() }
     }
 }
 
-/// What a `step` is told about its cycle.
+/// Facts about the cycle for a `step`.
 #[derive(Clone, Copy, Debug)]
 #[repr(transparent)]
 pub struct Tick(pub(crate) abi::Tick);

@@ -1,6 +1,8 @@
-//! Configuration from JSON: read whole, checked against the same description the manifest shows, then swapped in.
+//! Configuration from JSON: read whole, checked against the same description the manifest shows, then swapped
+//! in.
 //!
-//! Invariant: a value outside its limits is refused with its unit ("cutoff_hz: 1000 Hz is above 400 Hz"), never clamped.
+//! Invariant: a value outside its limits is refused with its unit ("cutoff_hz: 1000 Hz is above 400 Hz"),
+//! never clamped.
 
 use crate::component::Result;
 use serde_json::{Map, Value};
@@ -15,7 +17,7 @@ pub trait Config: Sized + Send + 'static {
     /// # Errors
     /// Names the field, what is wrong with it and what it may be.
     fn parse(object: &JsonObject) -> Result<Self>;
-    /// Defaults where there are some, zeros elsewhere: what a component holds before it is configured.
+    /// Defaults where there are some, zeros elsewhere: the content of a component before it is configured.
     fn unset() -> Self;
 }
 
@@ -116,10 +118,10 @@ pub fn field<T: ConfigField>(object: &JsonObject, desc: &ConfigFieldDesc) -> Res
         None if desc.default.is_empty() => {
             return Err(format!("{}: is required and has no default", desc.name).into());
         }
-        // A host refuses a class whose defaults are not valid: here they are judged as what is given.
+        // A host refuses a class whose defaults are not valid: here they are judged like given values.
         None => {
             default = serde_json::from_str(desc.default)
-                .map_err(|e| format!("{}: its default {} is no JSON: {e}", desc.name, desc.default))?;
+                .map_err(|e| format!("{}: its default {} is not valid JSON: {e}", desc.name, desc.default))?;
             &default
         }
     };

@@ -1,8 +1,8 @@
-//! `describe`: the class as it is with the present lists of names.
+//! `describe`: the class with its present lists of names.
 //!
-//! Invariant: what is fixed comes first, as in the manifest; what is repeated follows in the order of the fields and,
-//! within, of the names; provided interfaces that share a list go name by name. `Binder` and the generated dispatch count
-//! the same way.
+//! Invariant: the fixed part comes first, as in the manifest; the repeated part follows in the order of the
+//! fields and, within, of the names; provided interfaces that share a list go name by name. `Binder` and the
+//! generated dispatch count the same way.
 
 use crate::component::{Class, Result};
 use crate::dynamic::AnyType;

@@ -1,7 +1,7 @@
-//! Types that are known only while running: what an untyped port is connected to, read from its description.
+//! Types known only while running: the type that an untyped port is connected to, read from its description.
 //!
-//! Invariant: every place lies inside the type's size (checked when the description is read), and any bytes of that size
-//! can be read: lengths are clamped, flags are "not zero".
+//! Invariant: every place lies inside the type's size (checked when the description is read), and any bytes
+//! of that size can be read: lengths are clamped, flags are "not zero".
 
 mod json;
 mod made;
@@ -16,7 +16,7 @@ use trocar_plugin_api::desc::Prim;
 
 /// Deepest nesting of a type.
 const MAX_DEPTH: usize = 32;
-/// Largest type, bytes; with the smallest, 1, also the limit of what one description can unfold to.
+/// Largest type, bytes; with the smallest, 1, also the limit of the size of one unfolded description.
 const MAX_SIZE: usize = 1 << 20;
 
 /// The type behind an untyped port.
@@ -31,11 +31,11 @@ const MAX_SIZE: usize = 1 << 20;
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnyType {
     node: Node,
-    /// How a frame's bytes are read ("image"); none for plain samples.
+    /// Format of a frame's bytes ("image"); none for plain samples.
     format: Option<String>,
 }
 
-/// What an untyped function is bound to.
+/// Command that an untyped function is bound to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnyCommand {
     pub name: String,
@@ -48,7 +48,7 @@ pub struct AnyCommand {
     pub ret_unit: String,
 }
 
-/// Where a number lies, found once and read without searching.
+/// Place of a number, found once and read without searching.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
     at: usize,
@@ -98,7 +98,7 @@ struct Field {
 }
 
 impl AnyType {
-    /// From what `type_json` of an input or output says.
+    /// Reads the `type_json` of an input or output.
     ///
     /// # Errors
     /// A sentence where the text is no description of a port's type.
@@ -118,13 +118,13 @@ impl AnyType {
         self.node.size
     }
 
-    /// How the bytes behind the header are read ("image", "spectra"); none for plain samples.
+    /// Returns the format of the bytes behind the header ("image", "spectra"); none for plain samples.
     pub fn format(&self) -> Option<&str> {
         self.format.as_deref()
     }
 
-    /// The number at `path`: field names and positions, such as `pose/position/2`; an empty path is the value itself.
-    /// Lists and texts have no fixed places.
+    /// Returns the place of the number at `path`: field names and positions, such as `pose/position/2`; an
+    /// empty path is the value itself. Lists and texts have no fixed places.
     pub fn place(&self, path: &str) -> Option<Place> {
         let (at, node) = self.find(path)?;
         match node.shape {
@@ -156,7 +156,7 @@ impl AnyType {
 }
 
 impl AnyCommand {
-    /// From what `type_json` of a function says.
+    /// Reads the `type_json` of a function.
     ///
     /// # Errors
     /// A sentence where the text is no description of a command.
@@ -189,7 +189,7 @@ impl AnyCommand {
 }
 
 impl Place {
-    /// The number there, none when `bytes` are too few. Whole numbers above 2^53 lose digits.
+    /// Returns the number there; none when `bytes` are too few. Whole numbers above 2^53 lose digits.
     #[inline]
     pub fn number(&self, bytes: &[u8]) -> Option<f64> {
         let b = bytes.get(self.at..self.at + self.prim.size())?;
@@ -227,7 +227,7 @@ impl Node {
         }
     }
 
-    /// One step of a path: how much further, what is there, its unit.
+    /// One step of a path: the distance, the node there, its unit.
     fn step(&self, step: &str) -> Option<(usize, &Node, &str)> {
         match &self.shape {
             Shape::Struct { fields, .. } => {

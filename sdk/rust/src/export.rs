@@ -1,12 +1,14 @@
-//! `trocar_plugin!` and `static_plugin!`: the manifest, the tables, and for a `.so` the note and the exported symbol.
+//! `trocar_plugin!` and `static_plugin!`: the manifest, the tables, and for a `.so` the note and the exported
+//! symbol.
 //!
-//! Invariant: everything the macros emit is const data, so a host can read the manifest without running a byte.
+//! Invariant: everything the macros emit is const data, so a host can read the manifest without running a
+//! byte.
 
 /// Exports component classes as a plugin: `trocar_plugin!(LowPass, Notch);`, once per `cdylib` crate.
 ///
-/// The plugin's name is the crate's without a leading `trocar-`; version, licence and description are the crate's.
-/// `trocar_plugin!(LowPass; unload)` says that the library may be unmapped when no instance is left: it starts no
-/// threads and leaves nothing behind.
+/// The plugin's name is the crate's without a leading `trocar-`; version, licence and description are the
+/// crate's. `trocar_plugin!(LowPass; unload)` says that the library may be unmapped when no instance is left:
+/// it starts no threads and leaves nothing behind.
 ///
 /// A build for tests (`cfg(test)`) exports nothing, so the tests of a plugin may have one other plugin as a
 /// `dev-dependency` and drive both on benches.
@@ -42,9 +44,9 @@ macro_rules! __trocar_plugin {
 /// The same classes as a plugin without a file, for a host they are linked into:
 /// `pub const FILTERS: StaticPlugin = static_plugin!(LowPass, Notch);`.
 ///
-/// It exports no symbol, so any number of crates with one can be linked together. A crate that is a `.so` as well puts
-/// its [`trocar_plugin!`] behind a Cargo feature. `static_plugin!(name = "notches", Notch)` names it otherwise than the
-/// crate.
+/// It exports no symbol, so any number of crates with one can be linked together. A crate that is a `.so` as
+/// well puts its [`trocar_plugin!`] behind a Cargo feature. `static_plugin!(name = "notches", Notch)` gives
+/// it another name than the crate's.
 ///
 /// ```
 /// use trocar_sdk::{StaticPlugin, prelude::*, static_plugin};
@@ -75,7 +77,7 @@ macro_rules! __static_plugin {
     }};
 }
 
-/// What both kinds of plugin are made of: the rendered manifest and the tables.
+/// Parts of both kinds of plugin: the rendered manifest and the tables.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! __trocar_tables {

@@ -1,6 +1,7 @@
 //! Log lines and panics of this library, forwarded to the host.
 //!
-//! Invariant: `log` and the panic hook are statics of each `.so`; `install` runs in this one and never fails a load.
+//! Invariant: `log` and the panic hook are statics of each `.so`; `install` runs in this one and never fails
+//! a load.
 
 use core::fmt::Write;
 use std::any::Any;
@@ -22,15 +23,15 @@ thread_local! {
 /// Longest forwarded line, bytes; the rest is cut. Lines are formatted on the stack, so `step` may log.
 const LINE: usize = 512;
 
-/// Remembers the host and installs logger and hook, once per library. In the host's own program lines go to the program's
-/// own logger, and its panic hook goes on speaking.
+/// Remembers the host and installs logger and hook, once per library. In the host's own program, lines go to
+/// the program's own logger, and the program's panic hook keeps reporting.
 pub(crate) fn install(host: *const HostTable) {
     // SAFETY: `init` demands a table that is null or valid.
     if unsafe { host.as_ref() }.is_some_and(|host| host.flags & HOST_LINKED != 0) {
         return install_hook();
     }
     HOST.store(host.cast_mut(), Ordering::Release);
-    // A logger that is already there (a statically linked program's) is not ours to replace.
+    // An existing logger (a statically linked program's) is not ours to replace.
     if log::set_logger(&Forwarder).is_ok() {
         log::set_max_level(log::LevelFilter::Info);
     }

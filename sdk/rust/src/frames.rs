@@ -1,6 +1,8 @@
-//! Inputs and outputs of frames: a plain header and bytes in the host's pooled memory, never copied on the way.
+//! Inputs and outputs of frames: a plain header and bytes in the host's pooled memory, never copied on the
+//! way.
 //!
-//! Invariant: a view borrows its input and a loan its output, so neither outlives the next request to the host.
+//! Invariant: a view borrows its input and a loan its output, so neither outlives the next request to the
+//! host.
 
 use crate::lease::Tie;
 use crate::outcome::{NoFrame, Outcome};
@@ -22,7 +24,8 @@ pub struct FrameView<'a, H> {
 
 impl<H: Payload> FrameView<'_, H> {
     pub fn header(&self) -> &H {
-        // SAFETY: `In::frame` checked null and alignment; the slot gives a value of `H` while the view borrows the input.
+        // SAFETY: `In::frame` checked null and alignment; the slot gives a value of `H` while the view
+        // borrows the input.
         unsafe { &*self.view.header.cast::<H>() }
     }
 
@@ -34,15 +37,16 @@ impl<H: Payload> FrameView<'_, H> {
         unsafe { core::slice::from_raw_parts(self.view.bytes, self.view.len as usize) }
     }
 
-    /// The same bytes for changing in place, when this input is the frame's only owner; else none, and a loan with a
-    /// copy is the way.
+    /// Returns the same bytes for changing in place, when this input is the frame's only owner; else none,
+    /// and a loan with a copy is the way.
     pub fn bytes_mut(&mut self) -> Option<&mut [u8]> {
         // SAFETY: the view is the one the slot filled.
         let ptr = unsafe { (self.slot.writable)(self.slot.ctx, &mut self.view) };
         if ptr.is_null() {
             return None;
         }
-        // SAFETY: a non-null answer means `len` bytes that only this input holds; `&mut self` excludes other views.
+        // SAFETY: a non-null answer means `len` bytes that only this input holds; `&mut self` excludes other
+        // views.
         Some(unsafe { core::slice::from_raw_parts_mut(ptr, self.view.len as usize) })
     }
 
@@ -126,7 +130,8 @@ impl<H: Payload> FrameLoan<'_, H> {
         unsafe { core::slice::from_raw_parts_mut(self.loan.bytes, self.loan.capacity as usize) }
     }
 
-    /// Publishes the first `len` bytes; an invalid stamp becomes the header's own, else the begin of this step.
+    /// Publishes the first `len` bytes; an invalid stamp becomes the header's own, else the begin of this
+    /// step.
     pub fn commit(mut self, len: usize, stamp: Stamp) -> Outcome {
         let own = if stamp.is_valid() { stamp.ns() } else { self.header().stamp_ns() };
         let stamp = self.out.stamp_or(own);
@@ -152,7 +157,8 @@ impl<H: Payload> Out<Frame<H>> {
     /// Room for one frame. With `?` in `step`, a cycle without a free frame ends quietly (see [`NoFrame`]).
     ///
     /// # Errors
-    /// `Unbound` when the output was never bound, `Exhausted` when all slots of the pool are in use (counted).
+    /// `Unbound` when the output was never bound, `Exhausted` when all slots of the pool are in use
+    /// (counted).
     pub fn loan(&mut self) -> Result<FrameLoan<'_, H>, NoFrame> {
         let mut loan = Loan {
             struct_size: size_of::<Loan>() as u32,
@@ -162,7 +168,8 @@ impl<H: Payload> Out<Frame<H>> {
             capacity: 0,
             token: 0,
         };
-        // SAFETY: attach demands a valid slot, and the stub is static; the loan is writable and says its size.
+        // SAFETY: attach demands a valid slot, and the stub is static; the loan is writable and says its
+        // size.
         let outcome = Outcome::from(unsafe { ((*self.slot).loan)((*self.slot).ctx, &mut loan) });
         if !outcome.is_ok() || loan.header.is_null() {
             return Err(NoFrame(if outcome.is_ok() { Outcome::Exhausted } else { outcome }));
@@ -173,8 +180,9 @@ impl<H: Payload> Out<Frame<H>> {
 
     /// Makes the pool: `slots` frames of up to `max_bytes`. In `configure` or `start`.
     ///
-    /// A queue of frames never takes the last ones of their pool: a fifo of depth `d` is used to its full depth from a pool of about
-    /// `1.5 d + 1` frames where the oldest give way, of `2 d + 1` where the newest are refused.
+    /// A queue of frames never takes the last ones of their pool: a fifo of depth `d` is used to its full
+    /// depth from a pool of about `1.5 d + 1` frames where the oldest give way, of `2 d + 1` where the newest
+    /// are refused.
     ///
     /// # Errors
     /// When the host has not the memory for it.

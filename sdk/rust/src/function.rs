@@ -13,19 +13,19 @@ use core::time::Duration;
 use trocar_plugin_api::abi::{CallOpts, ErrBuf, EventSlot, FnSlot, MODE_CALL, MODE_SEND};
 use trocar_plugin_api::desc::TypeDesc;
 
-/// What the derive asks a function field.
+/// Questions of the derive to a function field.
 pub trait FunctionPort {
     const ARG: Option<&'static TypeDesc>;
     const RET: Option<&'static TypeDesc>;
     const ANY: bool;
 }
 
-/// What the derive asks an event field.
+/// Questions of the derive to an event field.
 pub trait EventPort {
     const PAYLOAD: Option<&'static TypeDesc>;
 }
 
-/// A function: bound to a command of whatever component is connected. Several threads may call it.
+/// A function: bound to a command of the connected component. Several threads may call it.
 pub struct Function<A = (), R = ()> {
     slot: *const FnSlot,
     lease: Option<Lease>,
@@ -47,7 +47,8 @@ impl<A: Value, R: Value> Function<A, R> {
     /// Without waiting and without a result: the way from `step`.
     #[inline]
     pub fn send(&self, arg: A) -> Outcome {
-        // SAFETY: attach demands a valid slot for `A`; the argument lives through the call; no result is asked for.
+        // SAFETY: attach demands a valid slot for `A`; the argument lives through the call; no result is
+        // asked for.
         unsafe {
             let slot = &*self.slot;
             let (ret, opts) = (core::ptr::null_mut(), core::ptr::null_mut());
@@ -55,8 +56,9 @@ impl<A: Value, R: Value> Function<A, R> {
         }
     }
 
-    /// As [`Function::send`], and it never runs if it was not begun within `deadline`: its connection counts
-    /// it then. Zero: its connection and its server's class say how long its goal is right.
+    /// Sends as [`Function::send`] does, but the command never runs if it has not begun within `deadline`:
+    /// its connection counts it then. Zero: its connection and its server's class say how long its goal is
+    /// right.
     #[inline]
     pub fn send_within(&self, arg: A, deadline: Duration) -> Outcome {
         let mut opts = options(MODE_SEND, deadline, core::ptr::null_mut());
@@ -75,7 +77,8 @@ impl<A: Value, R: Value> Function<A, R> {
         self.call_within(arg, Duration::ZERO)
     }
 
-    /// Waits for the result, at most for `deadline`; zero means the connection's own, more than an hour counts as an hour.
+    /// Waits for the result, at most for `deadline`; zero means the connection's own, more than an hour
+    /// counts as an hour.
     ///
     /// # Errors
     /// The outcome and the peer's sentence.

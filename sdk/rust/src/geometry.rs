@@ -1,15 +1,15 @@
 //! Conversions between the standard payloads and nalgebra's types, checked on the way in.
 //!
-//! Invariant: quaternions are x, y, z, w in payloads, of unit length within [`UNIT_TOLERANCE`]; anything that is not a
-//! finite number, or no rotation, is refused with what is wrong, never repaired. Nothing here allocates.
+//! Invariant: quaternions are x, y, z, w in payloads, of unit length within [`UNIT_TOLERANCE`]; a number that
+//! is not finite, or no rotation, is refused with the reason, never repaired. Nothing here allocates.
 
 use crate::data::{CartesianState, JointState, Pose, Transform, Twist, Wrench};
 use crate::values::{List, Stamp, Text};
 use core::fmt;
 use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector6};
 
-/// How far the length of an orientation may be from 1: rounding to f32 or to four decimals passes, a forgotten
-/// normalisation does not.
+/// Largest difference of an orientation's length from 1: rounding to f32 or to four decimals passes, a
+/// forgotten normalisation does not.
 pub const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// Longest time over which a twist is taken to say where its pose is, s, ahead as well as back.
@@ -90,7 +90,8 @@ impl Pose {
 }
 
 impl Transform {
-    /// The isometry that takes coordinates in `child` to coordinates in `parent`, without a stamp. Names are cut at 32 bytes.
+    /// Returns the isometry that takes coordinates in `child` to coordinates in `parent`, without a stamp.
+    /// Names are cut at 32 bytes.
     pub fn between(
         parent: impl Into<Text<32>>,
         child: impl Into<Text<32>>,
@@ -157,14 +158,14 @@ impl Wrench {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Carried {
     pub isometry: Isometry3<f64>,
-    /// It was carried all the way; false: the time lies further than [`CARRIED_S`] from the stamp, or there is none, and the
-    /// pose stands where it had been carried to.
+    /// True: the pose was carried all the way. False: the time lies further than [`CARRIED_S`] from the
+    /// stamp, or there is none, and the pose stands where it had been carried to.
     pub known: bool,
 }
 
 impl CartesianState {
-    /// The pose at a time near its own: moved on by the twist, for [`CARRIED_S`] at most. The stamp is that of the pose, or
-    /// else of the whole sample.
+    /// Returns the pose at a time near its own: moved on by the twist, for [`CARRIED_S`] at most. The stamp
+    /// is that of the pose, or else of the whole sample.
     ///
     /// # Errors
     /// As [`Pose::isometry`] and [`Twist::vector`].
@@ -185,7 +186,8 @@ impl CartesianState {
 const MOST_JOINTS: usize = 16;
 
 impl JointState {
-    /// This state with the positions of `N` joints, m and rad. More joints than it has room for do not compile.
+    /// Returns this state with the positions of `N` joints, m and rad. More joints than it has room for do
+    /// not compile.
     ///
     /// ```
     /// use trocar_sdk::data::JointState;

@@ -1,4 +1,4 @@
-//! Round trips over many values, and what is refused.
+//! Round trips over many values, and refused values.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
@@ -116,7 +116,7 @@ fn a_pose_is_carried_by_its_twist_for_a_bounded_time_to_either_side() {
         assert!((y_m - 0.1 * by_s).abs() < 1e-15 && (turn_rad - 2.0 * by_s).abs() < 1e-15, "{ms} ms");
         assert_eq!(is_known, known, "{ms} ms");
     }
-    // Beyond it stands where it had been carried to.
+    // Beyond the limit the pose stands where it had been carried to.
     for (ms, by_s) in [(21, CARRIED_S), (900_000, CARRIED_S), (-21, -CARRIED_S)] {
         let (y_m, _, known) = at(&state, ms);
         assert!((y_m - 0.1 * by_s).abs() < 1e-15 && !known, "{ms} ms: {y_m} m");

@@ -35,7 +35,7 @@ fn failed(err: *mut ErrBuf, e: &Error) -> Status {
     refuse(err, STATUS_FAILED, &Chain(&**e))
 }
 
-/// Puts `why` into the buffer and gives `status` back.
+/// Puts `why` into the buffer and returns `status`.
 #[cold]
 pub(crate) fn refuse(err: *mut ErrBuf, status: Status, why: &dyn Display) -> Status {
     // SAFETY: entries get an error buffer that is null or valid for the call.

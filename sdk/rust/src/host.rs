@@ -10,11 +10,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_plugin_api::abi::{Bytes, HostTable, KEEP, Keep, has_entry};
 
-/// First token that [`Host::services`] gives.
+/// First token of [`Host::services`].
 const FIRST_TOKEN: u64 = 1 << 32;
 
-/// A handle to the host: a `#[host]` field of a component. Any thread may use it. Threads of yours end in
-/// `Drop` at the latest: a handle that is there beyond it costs the memory of the component until the process
+/// A handle to the host: a `#[host]` field of a component. Any thread may use it. Your own threads end in
+/// `Drop` at the latest: a handle that exists beyond it costs the memory of the component until the process
 /// ends, and the host says so.
 #[derive(Clone)]
 pub struct Host {
@@ -26,7 +26,7 @@ struct Env {
     name: String,
     /// Begin of the step that runs, ns; 0 outside of `step`.
     step_ns: AtomicU64,
-    /// Of the last service asked for; above those an author counts from 0.
+    /// Token of the last service asked for; above those an author counts from 0.
     token: AtomicU64,
 }
 
@@ -52,7 +52,7 @@ impl Host {
         }
     }
 
-    /// Has the host keep what it gave this instance so far until the process ends.
+    /// Makes the host keep what it gave this instance so far until the process ends.
     pub(crate) fn keep(&self) {
         keep(self.table());
     }
@@ -98,17 +98,18 @@ impl Host {
         self.env.token.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// A dynamic component service as raw JSON, `{"verb":"Create",…}` as in the gRPC request; [`Host::services`] is
-    /// the typed way. The reply arrives in [`crate::Component::service_reply`] with the same token. From `step` the answer is `WouldBlock`.
+    /// Asks for a dynamic component service as raw JSON, `{"verb":"Create",…}` as in the gRPC request;
+    /// [`Host::services`] is the typed way. The reply arrives in [`crate::Component::service_reply`] with the
+    /// same token. From `step` the answer is `WouldBlock`.
     pub fn service(&self, token: u64, request: &str) -> Outcome {
         let table = self.table();
         // SAFETY: the text lives through the call.
         Outcome::from(unsafe { (table.service)(table.ctx, token, bytes(request)) })
     }
 
-    /// Tells the host that lists of names ([`crate::Many`], [`crate::Names`]) are others now: between two steps it asks
-    /// for them and ties the ports. After `configure` it does so by itself. Any thread; `Disabled` when the host is
-    /// older than ABI 1.1.
+    /// Tells the host that lists of names ([`crate::Many`], [`crate::Names`]) have changed: between two steps
+    /// it asks for them and ties the ports. After `configure` it does so by itself. Any thread; `Disabled`
+    /// when the host is older than ABI 1.1.
     pub fn ports_changed(&self) -> Outcome {
         let table = self.table();
         let at = core::mem::offset_of!(HostTable, ports_changed);

@@ -1,8 +1,9 @@
-//! Whether somebody still holds what the host gave an instance: ports in a static, a host handle in a thread.
+//! Finds out whether anything still holds what the host gave an instance: ports in a static, a host handle in
+//! a thread.
 //!
 //! Invariant: the host frees slots after `bind` or `destroy`, and its table after `destroy`. Before either
-//! returns, whatever a handle that is still there points to is kept (`trocar.keep/1`), so no handle ever
-//! points to nothing.
+//! returns, everything that an existing handle points to is kept (`trocar.keep/1`), so no handle ever points
+//! to nothing.
 
 use crate::describe::Lists;
 use crate::host::Host;
@@ -18,7 +19,7 @@ impl Lease {
         Lease(Arc::new(()))
     }
 
-    /// Nobody else holds it, and nobody will.
+    /// Tells whether nothing else holds it, and nothing will.
     fn was_last(self) -> bool {
         Arc::into_inner(self.0).is_some()
     }
@@ -35,14 +36,15 @@ impl Tie {
         Tie { host: host.clone(), lease: Lease::new() }
     }
 
-    /// Another `bind` begins: its ports are tied with what this is then. The answer is dropped when `bind` is
-    /// over, by a panic too, and has what is left of the ports before kept.
+    /// Begins another `bind`: its ports are tied with the new value of `self`. The returned guard is dropped
+    /// when `bind` is over, by a panic too; if some of the previous ports are left, it makes the host keep
+    /// them.
     pub(crate) fn renew(&mut self) -> Settled {
         let before = core::mem::replace(&mut self.lease, Lease::new());
         Settled { before: Some(before), host: self.host.clone() }
     }
 
-    /// All of the instance is gone but this.
+    /// Ends the instance, of which only this is left.
     pub(crate) fn end(self) {
         let Tie { host, lease } = self;
         let ports = lease.was_last();
@@ -50,7 +52,7 @@ impl Tie {
     }
 }
 
-/// The ports of the `bind` before: one that was left out of the new one may still be somewhere.
+/// The ports of the previous `bind`: a port that the new one leaves out may still exist somewhere.
 pub(crate) struct Settled {
     before: Option<Lease>,
     host: Host,

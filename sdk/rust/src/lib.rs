@@ -1,11 +1,11 @@
-//! What authors of trocar components use: derives, ports, payloads, and a bench to test a component without a
+//! SDK for authors of trocar components: derives, ports, payloads, and a bench to test a component without a
 //! host.
 //!
 //! Invariant: all `unsafe` that a plugin needs is in this crate; a plugin crate can say
 //! `#![forbid(unsafe_code)]`. The whole way from an idea to a running component is `docs/PLUGIN_GUIDE.md`;
 //! `docs/PLUGIN_REFERENCE.md` has what a component can have.
 
-// So that the derives' `::trocar_sdk` means this crate here, too.
+// Makes the derives' `::trocar_sdk` mean this crate here, too.
 extern crate self as trocar_sdk;
 
 mod aligned;
@@ -72,7 +72,7 @@ pub mod prelude {
     pub use serde_json::json;
 }
 
-/// What generated code refers to. Not for authors; changes without notice.
+/// Items that generated code refers to. Not for authors; changes without notice.
 #[doc(hidden)]
 pub mod __private {
     pub use crate::call::{

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a list changes only in `bind`, for all of its ports at once. Until then positions, ids and
 //! slots mean what the host was told before, so a command never reaches the neighbour of the arm it was meant
-//! for. They are counted by `lease::Layout`, not by these fields, which an author may exchange.
+//! for. `lease::Layout` counts them, not these fields, which an author may exchange.
 
 use crate::any::Any;
 use crate::component::Result;
@@ -49,11 +49,11 @@ pub struct Names {
 }
 
 impl Names {
-    /// Says which names there shall be. What stays by name keeps its connections, wherever it stands then.
+    /// Sets the names that are to exist. A name that stays keeps its connections, at any position.
     ///
     /// # Errors
-    /// A name that is none (a letter or `_`, then letters, digits, `_ . -`, at most 63) or comes twice; the
-    /// old wish stays.
+    /// A text that is no name (a letter or `_`, then letters, digits, `_ . -`, at most 63) or a name that
+    /// comes twice; the old list stays.
     pub fn set<S: AsRef<str>>(&mut self, names: impl IntoIterator<Item = S>) -> Result {
         let names: Vec<String> = names.into_iter().map(|n| n.as_ref().to_string()).collect();
         for (i, name) in names.iter().enumerate() {
@@ -72,7 +72,7 @@ impl Names {
         self.types.get(at)
     }
 
-    /// How many there are now; as all that follows, of the list the host has taken over.
+    /// Returns the number of names now; this and all that follows is about the list the host has taken over.
     pub fn len(&self) -> usize {
         self.bound.len()
     }
@@ -89,12 +89,12 @@ impl Names {
         self.bound.get(at).map(String::as_str)
     }
 
-    /// Where `name` stands.
+    /// Returns the position of `name`.
     pub fn position(&self, name: &str) -> Option<usize> {
         self.bound.iter().position(|n| n == name)
     }
 
-    /// What was set last.
+    /// Returns the list that was set last.
     pub fn wanted(&self) -> &[String] {
         &self.wanted
     }
@@ -196,8 +196,8 @@ impl<P> Default for Many<P> {
 }
 
 impl<P> Many<P> {
-    /// Says which ports there shall be. After `configure` the host asks by itself; later, call
-    /// [`Host::ports_changed`]. A port that stays by name keeps its connection. Ports of a repeated interface
+    /// Sets the ports that are to exist. After `configure` the host asks by itself; later, call
+    /// [`Host::ports_changed`]. A port whose name stays keeps its connection. Ports of a repeated interface
     /// follow its `#[names]` list instead.
     ///
     /// # Errors
@@ -254,9 +254,9 @@ impl<P> Many<P> {
 }
 
 impl Many<Out<Any>> {
-    /// As [`Many::set`], with a type for each, of which [`crate::AnyOut::write_bytes`] takes bytes: outputs
-    /// whose payload the configuration says. Connect compares them, viewers and recorders know the fields. A
-    /// port whose type is another one than before loses its connections.
+    /// Sets the ports as [`Many::set`] does, with a type for each, of which [`crate::AnyOut::write_bytes`]
+    /// takes bytes: for outputs whose payload depends on the configuration. Connect compares the types,
+    /// viewers and recorders know the fields. A port whose type changes loses its connections.
     ///
     /// # Errors
     /// As [`Names::set`], and a type that is larger than a sample may be. Two different structs of one name
@@ -303,7 +303,7 @@ impl Many<Out<Any>> {
 }
 
 impl<P: Flow + Default> Many<P> {
-    /// Makes the list the host was told the present one and ties each port to the slot of its position.
+    /// Makes the list that the host was told the present one and ties each port to the slot of its position.
     ///
     /// # Safety
     /// `slot` gives, for each position of `told`, a slot as [`Flow::attach`] demands it.
@@ -323,7 +323,7 @@ impl<P: Flow + Default> Many<P> {
 impl<P> Index<usize> for Many<P> {
     type Output = P;
     /// # Panics
-    /// When there are not so many names.
+    /// There are not so many names.
     fn index(&self, at: usize) -> &P {
         &self.ports[at]
     }

@@ -1,4 +1,4 @@
-//! What became of a call through a slot.
+//! Outcomes of a call through a slot.
 //!
 //! Invariant: exactly one outcome per call; a caller never hangs.
 
@@ -109,8 +109,8 @@ impl fmt::Display for CallError {
 
 impl std::error::Error for CallError {}
 
-/// An output lends no frame now: nobody is connected or the pool is exhausted (the host counts it). Handed on with `?`
-/// from `step`, it ends this cycle quietly instead of putting the component in FAULT.
+/// An output lends no frame now: nobody is connected or the pool is exhausted (the host counts it). Handed on
+/// with `?` from `step`, it ends this cycle quietly instead of putting the component in FAULT.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct NoFrame(pub Outcome);
 

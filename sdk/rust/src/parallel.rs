@@ -1,6 +1,7 @@
 //! Work on slices of a frame, on the threads the deployment gives the stream (`execution.threads`).
 //!
-//! Invariant: a slice is worked on once, and all are done when the call returns; a panic in one never leaves this file.
+//! Invariant: each slice is worked on once, and all are done when the call returns; a panic in one never
+//! leaves this file.
 
 use crate::component::Result;
 use crate::host::Host;
@@ -35,14 +36,15 @@ impl<F: Fn(u32) + Sync> Work<'_, F> {
 }
 
 impl Host {
-    /// Threads that work together in [`Host::parallel`], this one included; 1 outside of a stream with several.
+    /// Returns the number of threads that work together in [`Host::parallel`], this one included; 1 outside
+    /// of a stream with several.
     pub fn threads(&self) -> usize {
         // SAFETY: the table is the host's, checked in `pool`.
         self.pool().map_or(1, |pool| unsafe { (pool.threads)(pool.ctx) }.max(1) as usize)
     }
 
-    /// Runs `body` once for each number below `slices`, on several threads where there are some, and returns when all
-    /// are done. From `step`, commands and handlers, not from within a body. Allocates nothing.
+    /// Runs `body` once for each number below `slices`, on several threads where there are some, and returns
+    /// when all are done. From `step`, commands and handlers, not from within a body. Allocates nothing.
     ///
     /// # Errors
     /// The sentence of the first panic in a body; the other slices are worked on or left out.
@@ -59,7 +61,8 @@ impl Host {
             Some(pool) => {
                 let data = (&raw const work).cast_mut().cast();
                 let body = SliceBody { data, run: entry_of(&work) };
-                // SAFETY: the host's own table; the work lives until all slices are done, which is when this returns.
+                // SAFETY: the host's own table; the work lives until all slices are done, which is when this
+                // returns.
                 unsafe { (pool.run)(pool.ctx, slices, &body) }
             }
             None => (0..slices).map(|slice| work.slice(slice)).find(|s| *s != STATUS_OK).unwrap_or(STATUS_OK),
@@ -71,8 +74,8 @@ impl Host {
         }
     }
 
-    /// Cuts `items` into groups of whole rows of `row` items and works on them in parallel: `body` gets the numbers of
-    /// its rows and their items. A last row that is shorter belongs to the last group.
+    /// Cuts `items` into groups of whole rows of `row` items and works on them in parallel: `body` gets the
+    /// numbers of its rows and their items. A last row that is shorter belongs to the last group.
     ///
     /// ```
     /// use trocar_sdk::Host;
@@ -111,8 +114,8 @@ impl Host {
         self.parallel(slices as u32, |slice| {
             let rows = first(slice as usize)..first(slice as usize + 1);
             let (from, to) = (rows.start * row, (rows.end * row).min(len));
-            // SAFETY: `from..to` lies inside `items`, which stays borrowed until all slices are done; the parts of
-            // different slices do not overlap, and each slice number comes once.
+            // SAFETY: `from..to` lies inside `items`, which stays borrowed until all slices are done; the
+            // parts of different slices do not overlap, and each slice number comes once.
             let part = unsafe { core::slice::from_raw_parts_mut(start.at(from), to - from) };
             body(rows, part);
         })
@@ -120,7 +123,8 @@ impl Host {
 
     fn pool(&self) -> Option<&Parallel> {
         let table = self.extension(PARALLEL).cast::<Parallel>();
-        // SAFETY: null, or the host's table of this name, which lives as long as the instance and says its size.
+        // SAFETY: null, or the host's table of this name, which lives as long as the instance and says its
+        // size.
         let pool = unsafe { table.as_ref() }?;
         (pool.struct_size as usize >= size_of::<Parallel>()).then_some(pool)
     }

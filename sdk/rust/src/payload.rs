@@ -1,7 +1,7 @@
-//! Plain old data: what may cross an input, output, command or event.
+//! Plain old data: the values that may cross an input, output, command or event.
 //!
-//! Invariant: a payload has no padding and every bit pattern is a valid value, so it can be copied byte by byte between
-//! processes and languages. The derive refuses anything else.
+//! Invariant: a payload has no padding and every bit pattern is a valid value, so it can be copied byte by
+//! byte between processes and languages. The derive refuses anything else.
 
 use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 
@@ -28,7 +28,7 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 /// #[repr(C)]
 /// struct Seen { seen: bool }
 /// ```
-/// A unit that nobody knows is refused, with what was probably meant ("did you mean `N.mm`?"):
+/// An unknown unit is refused, with what was probably meant ("did you mean `N.mm`?"):
 /// ```compile_fail
 /// use trocar_sdk::prelude::*;
 /// #[derive(Payload, Clone, Copy)]
@@ -37,8 +37,8 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 /// ```
 ///
 /// # Safety
-/// The type is `repr(C)` or `repr(transparent)`, has no padding, no pointers, is valid for every bit pattern, is
-/// aligned to at most 8 bytes, and `DESC` says exactly where its fields are.
+/// The type is `repr(C)` or `repr(transparent)`, has no padding, no pointers, is valid for every bit pattern,
+/// is aligned to at most 8 bytes, and `DESC` says exactly where its fields are.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no payload: it cannot cross a port or stand in the state table",
     label = "not plain data of a fixed layout",
@@ -49,7 +49,7 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 )]
 pub unsafe trait Payload: Copy + Send + Sync + 'static {
     const DESC: &'static TypeDesc;
-    /// How the bytes behind this header are read when it heads a frame ("image", "spectra"), else empty.
+    /// Format of the bytes behind this header when it heads a frame ("image", "spectra"), else empty.
     const FORMAT: &'static str = "";
 
     /// The value's own `stamp` field in ns, 0 when it has none or it is not set.

@@ -15,14 +15,14 @@ use trocar_plugin_api::abi::{
 };
 use trocar_plugin_api::desc::{PortType, Prim, TypeDesc, TypeKind};
 
-/// What a port carries, before field settings are added.
+/// Type that a port carries, before field settings are added.
 pub enum PortKind {
     Plain(&'static TypeDesc),
     Frame { header: &'static TypeDesc, format: &'static str },
     Any,
 }
 
-/// Something that is tied to a slot of the host.
+/// A port that is tied to a slot of the host.
 ///
 /// # Safety
 /// `KIND` describes what the port reads from or writes to the slot.
@@ -58,7 +58,7 @@ pub const fn payload_of(port: PortType) -> Option<&'static TypeDesc> {
     }
 }
 
-/// Fails the build where a coordinate frame is said of payloads without coordinates.
+/// Fails the build where payloads without coordinates have a coordinate frame.
 pub const fn frame_fits(payloads: &[Option<&'static TypeDesc>]) {
     let mut i = 0;
     while i < payloads.len() {
@@ -70,12 +70,12 @@ pub const fn frame_fits(payloads: &[Option<&'static TypeDesc>]) {
         i += 1;
     }
     panic!(
-        "nothing here can be in a coordinate frame: a payload is wanted with coordinates (arrays of f64 or f32 in a struct, \
-         such as the position of a Pose) whose fields do not say already in which frame they are"
+        "nothing here can be in a coordinate frame: use a payload with coordinates (arrays of f64 or f32 in a struct, such as the \
+         position of a Pose). Its fields must not name a frame already"
     );
 }
 
-/// Fails the build where limits are said of an argument without numbers: they would be shown and never hold.
+/// Fails the build where an argument without numbers has limits: they would be shown and never hold.
 pub const fn limits_fit(ty: &TypeDesc) {
     assert!(
         ty.has_numbers(),
@@ -84,7 +84,7 @@ pub const fn limits_fit(ty: &TypeDesc) {
     );
 }
 
-/// Fails the build where a unit is said of an argument without numbers and without a time.
+/// Fails the build where an argument without numbers and without a time has a unit.
 pub const fn unit_fits(ty: &TypeDesc) {
     let time = matches!(ty.kind, TypeKind::Prim(Prim::Stamp));
     assert!(
@@ -225,14 +225,15 @@ impl<T> In<T> {
 }
 
 impl<T: Payload> In<T> {
-    /// The newest sample, whether seen before or not; none while nothing was ever written or nobody is connected.
+    /// Returns the newest sample, whether seen before or not; none while nothing was ever written or nobody
+    /// is connected.
     #[inline]
     pub fn latest(&mut self) -> Option<T> {
         self.view(false).map(|v| value(&v))
     }
 
-    /// The newest sample, or `safe` when there is none, nobody is connected, or it is older than the connection's
-    /// `max_age`: what an actuator follows, whose health then says STALE_INPUT.
+    /// Returns the newest sample, or `safe` when there is none, nobody is connected, or it is older than the
+    /// connection's `max_age`: the value for an actuator to follow, whose health then says STALE_INPUT.
     #[inline]
     pub fn latest_or(&mut self, safe: T) -> T {
         self.view(false).filter(|v| v.flags & SAMPLE_STALE == 0).map_or(safe, |v| value(&v))
@@ -286,7 +287,8 @@ pub(crate) fn empty_view() -> SampleView {
 
 #[inline]
 fn value<T: Payload>(view: &SampleView) -> T {
-    // SAFETY: `view` is fresh from the slot, which gives a value of the described type until it is asked again.
+    // SAFETY: `view` is fresh from the slot, which gives a value of the described type until it is asked
+    // again.
     unsafe { view.header.cast::<T>().read_unaligned() }
 }
 
@@ -337,17 +339,18 @@ impl<T> Out<T> {
 }
 
 impl<T: Payload> Out<T> {
-    /// Publishes a copy. The sample's stamp is the payload's own `stamp` field when set, else the begin of this step.
-    /// Never waits for a reader; nobody connected is no error.
+    /// Publishes a copy. The sample's stamp is the payload's own `stamp` field when set, else the begin of
+    /// this step. Never waits for a reader; a missing connection is no error.
     #[inline]
     pub fn write(&self, value: &T) {
         self.write_at(value, Stamp::from_ns(value.stamp_ns()));
     }
 
-    /// Like `write`, with the stamp given apart, and tells what became of it.
+    /// Writes as `write` does, with the stamp given apart, and returns the outcome.
     #[inline]
     pub fn write_at(&self, value: &T, stamp: Stamp) -> Outcome {
-        // SAFETY: attach demands a valid slot for `T`, and the stub is static; the value lives through the call.
+        // SAFETY: attach demands a valid slot for `T`, and the stub is static; the value lives through the
+        // call.
         unsafe {
             let slot = &*self.slot;
             Outcome::from((slot.write)(slot.ctx, (value as *const T).cast(), self.stamp_or(stamp.ns())))

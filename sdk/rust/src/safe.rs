@@ -1,24 +1,27 @@
-//! Making a device safe while its component is not to be had: what stands beside the component, not in it.
+//! Making a device safe while its component cannot be entered: the handle stands beside the component, not in
+//! it.
 //!
-//! Invariant: a handle is taken once, right after the component is made and before anybody enters it; from then on making
-//! safe touches nothing of the component, so it may run beside any entry that hangs.
+//! Invariant: a handle is taken once, right after the component is made and before anybody enters it; from
+//! then on making safe touches nothing of the component, so it may run beside any entry that hangs.
 
 use crate::component::{Component, Result};
 use std::sync::Arc;
 
-/// Brings a device to its safe condition from any thread, at any time, beside whatever else runs in the component.
+/// Brings a device to its safe condition from any thread, at any time, beside anything else that runs in the
+/// component.
 ///
-/// It holds what is made for several threads: atomics, the handle of a library that allows it. Short, right when called
-/// twice, at the same time from two threads, and before the device is open; it never waits, also for no lock that the
-/// component holds while it talks to the device. A panic is contained and counts as failed.
+/// The type holds what is made for several threads: atomics, the handle of a library that allows it. The call
+/// is short, right when made twice, at the same time from two threads, and before the device is open; it
+/// never waits, also for no lock that the component holds while it talks to the device. A panic is contained
+/// and counts as failed.
 pub trait MakeSafe: Send + Sync + 'static {
     /// # Errors
     /// Why the device is not at rest; an actuator is then in FAULT with this sentence.
     fn make_safe(&self) -> Result;
 }
 
-/// What a class with `#[component(safe_from_any_thread)]` has instead of [`Component::make_safe`], which is not called for
-/// such a class: Stop, FAULT, a lost peer and the watchdog all go the one way of its handle.
+/// Takes the place of [`Component::make_safe`] in a class with `#[component(safe_from_any_thread)]`;
+/// `make_safe` is not called for such a class: Stop, FAULT, a lost peer and the watchdog all use its handle.
 ///
 /// ```
 /// use std::sync::{Arc, atomic::{AtomicBool, Ordering}};
@@ -61,7 +64,7 @@ pub trait MakeSafe: Send + Sync + 'static {
     note = "`Component::make_safe` is not called for such a class"
 )]
 pub trait SafeFromAnyThread: Component {
-    /// Called once, right after the component is made: with its fields as `Default` gives them, before `configure`. What is
-    /// opened later (in `start`) goes into the handle then.
+    /// Called once, right after the component is made: with its fields as `Default` gives them, before
+    /// `configure`. A device that is opened later (in `start`) goes into the handle then.
     fn safe_handle(&self) -> Arc<dyn MakeSafe>;
 }

@@ -1,14 +1,14 @@
-//! Dynamic component services: what a component asks of the system, and what it is answered.
+//! Dynamic component services: a component's requests to the system, and the answers.
 //!
-//! Invariant: asking never waits; the answer comes later, under the token that asking gave. Field names are those of the
-//! messages in proto/trocar/v1.
+//! Invariant: asking never waits; the answer comes later, under the token that the request returned. Field
+//! names are those of the messages in proto/trocar/v1.
 
 use crate::host::Host;
 use crate::outcome::Outcome;
 use serde_json::{Map, Value as Json, json};
 
-/// Asks for services; from [`Host::services`]. Each asking gives the token of its [`ServiceReply`], or the outcome why
-/// not: `WouldBlock` from `step`, `QueueFull` when too many are under way.
+/// Asks for services; from [`Host::services`]. Each request returns the token of its [`ServiceReply`], or the
+/// outcome why not: `WouldBlock` from `step`, `QueueFull` when too many are under way.
 ///
 /// ```
 /// use trocar_sdk::{ServiceReply, prelude::*, serde_json::json};
@@ -43,7 +43,8 @@ pub struct Services<'a> {
 type Token = Result<u64, Outcome>;
 
 impl Host {
-    /// The dynamic component services: make, connect and start components, stop oneself. Any thread but from `step`.
+    /// The dynamic component services: make, connect and start components, stop oneself. Any thread but from
+    /// `step`.
     pub fn services(&self) -> Services<'_> {
         Services { host: self }
     }
@@ -150,7 +151,7 @@ of_one_path! {
 /// The answer to a service asked for earlier.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ServiceReply {
-    /// What asking gave.
+    /// Token that the request returned.
     pub token: u64,
     pub ok: bool,
     /// The gRPC response as JSON; null when refused.
@@ -159,12 +160,12 @@ pub struct ServiceReply {
     pub reason: String,
     /// The refusal's sentence.
     pub message: String,
-    /// What to do about it.
+    /// The refusal's advice.
     pub help: String,
 }
 
 impl ServiceReply {
-    /// Reads a host's reply; one that is not understood is a refusal that says so.
+    /// Reads a host's reply; a reply that is not understood becomes a refusal that says so.
     pub fn parse(token: u64, reply: &str) -> ServiceReply {
         let mut object = match serde_json::from_str::<Map<String, Json>>(reply) {
             Ok(object) => object,

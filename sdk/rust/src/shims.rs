@@ -1,8 +1,8 @@
 //! The C table of a class: every entry guarded, every pointer turned into a typed reference in one place.
 //!
-//! Invariant: `this` is always a `Box<Instance<C>>` made by `create`; the LCM serialises the calls on it, but for `make_safe`
-//! of a class with `safe_from_any_thread`, which may run beside any other. So no entry borrows the whole `Instance`, and
-//! that one touches only its handle.
+//! Invariant: `this` is always a `Box<Instance<C>>` made by `create`; the LCM serialises the calls on it,
+//! except `make_safe` of a class with `safe_from_any_thread`, which may run beside any other. So no entry
+//! borrows the whole `Instance`, and that `make_safe` touches only its handle.
 
 use crate::call::Call;
 use crate::component::{Class, Tick};
@@ -24,7 +24,7 @@ use trocar_plugin_api::abi::{
 struct Instance<C> {
     /// Reached by one entry at a time, through [`component`].
     component: C,
-    /// Words that the host was told and slots that it gave; reached likewise, through [`own`].
+    /// Words that the host was told and slots that it gave; reached by one entry at a time, through [`own`].
     own: Own,
     /// Never changes after `create`.
     beside: Beside,
@@ -32,16 +32,16 @@ struct Instance<C> {
 
 /// The meaning of ids and slots, kept where the author's code does not reach it.
 struct Own {
-    /// By the last description, and since the last `bind`.
+    /// The lists of the last description, and those since the last `bind`.
     described: Layout,
     bound: Layout,
     tie: Tie,
 }
 
-/// What may be read while an entry is inside the component.
+/// Part that may be read while an entry is inside the component.
 struct Beside {
     host: Host,
-    /// Of a class with `safe_from_any_thread`.
+    /// Handle of a class with `safe_from_any_thread`.
     safe: Option<Arc<dyn MakeSafe>>,
 }
 
@@ -88,7 +88,8 @@ unsafe fn slice<'a>(bytes: Bytes) -> &'a [u8] {
 /// `this` comes from `create::<C>`, and no other entry has its component during `'a`.
 #[inline]
 unsafe fn component<'a, C>(this: *mut c_void) -> &'a mut C {
-    // SAFETY: by the caller's promise a live instance whose component nobody else uses; the rest of it is not borrowed.
+    // SAFETY: by the caller's promise a live instance whose component nobody else uses; the rest of it is not
+    // borrowed.
     unsafe { &mut (*this.cast::<Instance<C>>()).component }
 }
 
@@ -104,8 +105,8 @@ unsafe fn own<'a, C>(this: *mut c_void) -> &'a mut Own {
 /// `this` comes from `create::<C>` and lives during `'a`; other entries may be inside its component.
 #[inline]
 unsafe fn beside<'a, C>(this: *mut c_void) -> &'a Beside {
-    // SAFETY: by the caller's promise a live instance; this part of it is never written after `create`, and the
-    // component is not borrowed.
+    // SAFETY: by the caller's promise a live instance; this part of it is never written after `create`, and
+    // the component is not borrowed.
     unsafe { &(*this.cast::<Instance<C>>()).beside }
 }
 
@@ -173,7 +174,9 @@ unsafe extern "C" fn configure<C: Class>(this: *mut c_void, json: Bytes, err: *m
             json => serde_json::from_slice::<Json>(json).and_then(serde_json::from_value),
         };
         match parsed {
-            Err(e) => refuse(err, STATUS_INVALID, &format_args!("the configuration is no JSON object: {e}")),
+            Err(e) => {
+                refuse(err, STATUS_INVALID, &format_args!("the configuration is not a JSON object: {e}"))
+            }
             Ok(object) => match component.apply(&object) {
                 Ok(()) => STATUS_OK,
                 Err(e) => refuse(err, STATUS_INVALID, &Chain(&*e)),
@@ -259,7 +262,8 @@ unsafe extern "C" fn make_safe<C: Class>(this: *mut c_void, err: *mut ErrBuf) ->
         // SAFETY: a live instance; the component is left alone.
         match unsafe { &beside::<C>(this).safe } {
             Some(handle) => settle(err, handle.make_safe()),
-            // SAFETY: a class without a handle does not say `safe_from_any_thread`: the call is serialised as any other.
+            // SAFETY: a class without a handle does not say `safe_from_any_thread`: the call is serialised as
+            // any other.
             None => settle(err, unsafe { component::<C>(this) }.make_safe()),
         }
     })

@@ -1,6 +1,7 @@
 //! The small value types of payloads: `Stamp`, `Flag`, `List`, `Text`, and named integer values.
 //!
-//! Invariant: whatever bytes arrive, reading is safe: lengths are clamped, flags are "not zero", names may be unknown.
+//! Invariant: reading is safe with any bytes: lengths are clamped, flags are "not zero", names may be
+//! unknown.
 
 use crate::payload::Payload;
 use core::fmt;
@@ -36,15 +37,16 @@ impl Stamp {
         self.0.wrapping_sub(earlier.0).cast_signed() as f64 * 1e-9
     }
 
-    /// Seconds by which this stamp is after `earlier`: the time between two samples, for filters. `None` where
-    /// the stamps do not tell it: one of them is invalid (the first sample has none before it), they are
-    /// equal, or this is the earlier one.
+    /// Returns the seconds by which this stamp is after `earlier`: the time between two samples, for filters.
+    /// `None` where the stamps do not tell it: one of them is invalid (the first sample has none before it),
+    /// they are equal, or this is the earlier one.
     #[inline]
     pub const fn seconds_after(self, earlier: Stamp) -> Option<f64> {
         if earlier.0 == 0 || self.0 <= earlier.0 { None } else { Some((self.0 - earlier.0) as f64 * 1e-9) }
     }
 
-    /// Whether this stamp lies more than `by_s` seconds after `now`. Unlike a difference, right for the largest stamps, too.
+    /// Tells whether this stamp lies more than `by_s` seconds after `now`. Unlike a difference, right for the
+    /// largest stamps, too.
     #[inline]
     pub fn is_ahead_of(self, now: Stamp, by_s: f64) -> bool {
         self.0 > now.0.saturating_add((by_s * 1e9) as u64)
@@ -185,8 +187,8 @@ impl<T: fmt::Debug, const N: usize> fmt::Debug for List<T, N> {
     }
 }
 
-// SAFETY: a u64 and an array; alignment is at most 8 and the assertion excludes padding at the end. The length is
-// clamped on every access, so any bit pattern is fine.
+// SAFETY: a u64 and an array; alignment is at most 8 and the assertion excludes padding at the end. The
+// length is clamped on every access, so any bit pattern is fine.
 unsafe impl<T: Payload, const N: usize> Payload for List<T, N> {
     const DESC: &'static TypeDesc = {
         assert!(
@@ -206,7 +208,7 @@ pub struct Text<const N: usize> {
 }
 
 impl<const N: usize> Text<N> {
-    /// As much of `text` as fits, cut between characters.
+    /// Keeps as much of `text` as fits, cut between characters.
     pub fn new(text: &str) -> Self {
         let mut end = text.len().min(N);
         while !text.is_char_boundary(end) {
@@ -279,7 +281,7 @@ unsafe impl<const N: usize> Payload for Text<N> {
     };
 }
 
-/// An integer newtype with named values: the payload's form of an enum. Unknown values stay what they are.
+/// An integer newtype with named values: the payload's form of an enum. Unknown values stay as they are.
 ///
 /// ```
 /// use trocar_sdk::prelude::*;

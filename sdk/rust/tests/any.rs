@@ -1,4 +1,4 @@
-//! Untyped ports: what a recorder or a bridge is made of.
+//! Untyped ports: the parts of a recorder or a bridge.
 #![allow(clippy::unwrap_used)]
 #![forbid(unsafe_code)]
 

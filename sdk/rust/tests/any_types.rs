@@ -223,7 +223,7 @@ proptest! {
         let typed: Outer = from_bytes(&bytes).unwrap();
         prop_assert_eq!(value["many"].as_array().unwrap().len(), typed.many.len());
         prop_assert!(typed.many.len() <= 2 && typed.one.label.len() <= 8);
-        // What the reading made valid stays as it is.
+        // Values that the reading made valid stay as they are.
         let again = ty.to_bytes(&value);
         if let Ok(again) = again {
             prop_assert_eq!(ty.to_json(&again).unwrap(), value);

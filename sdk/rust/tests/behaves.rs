@@ -11,7 +11,7 @@ use trocar_sdk::testing::{
 
 #[derive(Config)]
 struct Flawed {
-    /// What it does otherwise than its contract says; nothing by default
+    /// Deviation from its contract; nothing by default
     #[config(default = "")]
     flaw: String,
 }

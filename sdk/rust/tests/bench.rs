@@ -1,4 +1,4 @@
-//! What the bench promises an author, tried on one component that uses everything.
+//! Promises of the bench to an author, tried on one component that uses everything.
 #![allow(clippy::unwrap_used)]
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -89,7 +89,7 @@ impl Worker {
     fn greedy_slices(&mut self) {
         let _ = self.host.parallel(10, |_| drop(std::hint::black_box(Box::new(1u64))));
     }
-    /// How the last call ended.
+    /// Outcome of the last call.
     #[command]
     fn outcome(&mut self) -> Text<32> {
         Text::new(&format!("{:?}", self.outcome))

@@ -1,4 +1,5 @@
-//! The bench as the world around a component: untyped peers, limits of arguments, callbacks of a device, log lines.
+//! The bench as the world around a component: untyped peers, limits of arguments, callbacks of a device, log
+//! lines.
 #![allow(clippy::unwrap_used)]
 
 use trocar_plugin_api::abi::STATUS_INVALID;
@@ -8,7 +9,7 @@ use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::json;
 use trocar_sdk::testing::Bench;
 
-/// Passes on what comes, and asks whatever it is connected to.
+/// Passes on its inputs, and calls the peer it is connected to.
 #[derive(Component)]
 #[component(rate_hz = 100, provides("ctl"))]
 struct Bridge {
@@ -209,7 +210,7 @@ impl Device {
     fn times(s: &DeviceState, #[arg(max = 10)] factor: u32) -> f64 {
         s.set * f64::from(factor)
     }
-    /// What the device's library must not do: come in from within.
+    /// Comes in from within, which the device's library must not do.
     #[command]
     fn calls_within(&mut self) {
         let refused = self.host.callback(|| ()).err();
@@ -218,11 +219,12 @@ impl Device {
 }
 
 thread_local! {
-    /// What the library of the device holds on to.
+    /// Host that the library of the device holds on to.
     static LIBRARY: std::cell::RefCell<Option<Host>> = const { std::cell::RefCell::new(None) };
 }
 
-/// What the device's library does when a sample is there: how the callback ended, and one that overlaps with it.
+/// Plays the device's library when a sample is there. Returns how the callback ended, and how one ended that
+/// overlaps with it.
 fn device_calls() -> (Result<(), Outcome>, Option<Result<(), Outcome>>) {
     let host = LIBRARY.with_borrow(|host| host.clone().unwrap());
     let mut overlapping = None;

@@ -1,4 +1,5 @@
-//! `sdk/c/trocar_plugin.h` says what `trocar-plugin-api` says: every size, offset and constant, asked from a C compiler.
+//! `sdk/c/trocar_plugin.h` says what `trocar-plugin-api` says: every size, offset and constant, asked from a
+//! C compiler.
 //!
 //! Invariant: the lists below are complete; a field left out leaves a gap that the first test finds.
 #![allow(clippy::unwrap_used)]

@@ -77,7 +77,7 @@ fn the_committed_header_is_the_one_that_is_written() {
     assert_eq!(long, None);
 }
 
-/// Compiles `source` with warnings as errors and gives what the program prints.
+/// Compiles `source` with warnings as errors and returns the output of the program.
 fn printed(language: &str, name: &str, compiler: &str, options: &[&str], source: &str) -> String {
     let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("c_payloads").join(language);
     std::fs::create_dir_all(&dir).unwrap();
@@ -93,7 +93,8 @@ fn printed(language: &str, name: &str, compiler: &str, options: &[&str], source:
     run(&mut Command::new(program))
 }
 
-/// A program that prints sizes, offsets and values, each on a line, by the names that `name` gives the types.
+/// Returns a program that prints sizes, offsets and values, each on a line, by the names that `name` gives
+/// the types.
 fn program(name: impl Fn(&NamedType) -> String) -> (String, String) {
     let mut source = String::from("#include \"trocar_payloads.h\"\n#include <stdio.h>\nint main(void) {\n");
     let mut want = String::new();

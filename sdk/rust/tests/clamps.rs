@@ -1,4 +1,5 @@
-//! Lists and texts of any bytes: whatever length they claim and whatever they hold, they never reach beyond their room.
+//! Lists and texts of any bytes never reach beyond their room, whatever length they claim and whatever they
+//! hold.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;

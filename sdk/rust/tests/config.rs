@@ -1,4 +1,4 @@
-//! Configurations: what is taken, what is refused and with which words.
+//! Configurations: accepted values, refused values and the words of a refusal.
 #![allow(clippy::unwrap_used)]
 #![forbid(unsafe_code)]
 
@@ -7,7 +7,7 @@ use trocar_sdk::testing::Bench;
 
 #[derive(Config)]
 struct Cfg {
-    /// Where the device is
+    /// Port of the device
     port: String,
     #[config(min = 0, max = 10, unit = "N", default = [1.0, 2.0, 3.0])]
     limits: [f64; 3],
@@ -92,7 +92,7 @@ fn each_mistake_names_the_field_and_the_remedy() {
         (r#"{"port": "a", "offset": 1.5}"#, "offset: 1.5 is not a whole number that fits"),
         (r#"{"port": "a", "timeout_s": 0.1}"#, "timeout_s: 0.1 s is below 0.5 s"),
         (r#"{"port": "a", "verbose": 1}"#, "verbose: 1 is not true or false"),
-        ("[]", "the configuration is no JSON object: invalid type: sequence, expected a map"),
+        ("[]", "the configuration is not a JSON object: invalid type: sequence, expected a map"),
     ] {
         assert_eq!(refused(json), want, "for {json}");
     }
@@ -100,7 +100,7 @@ fn each_mistake_names_the_field_and_the_remedy() {
 
 #[test]
 fn broken_json_is_refused_with_its_place() {
-    assert!(refused(r#"{"port": "#).starts_with("the configuration is no JSON object: EOF while parsing"));
+    assert!(refused(r#"{"port": "#).starts_with("the configuration is not a JSON object: EOF while parsing"));
 }
 
 #[test]
@@ -141,6 +141,6 @@ fn a_default_that_is_not_valid_is_refused_as_if_it_were_given() {
     let said = |default| config_field::<f64>(&JsonObject::new(), &limit(default)).map_err(|e| e.to_string());
     assert_eq!(said("\"x\"").unwrap_err(), "limit: \"x\" is not a number");
     assert_eq!(said("20").unwrap_err(), "limit: 20 mm is above 10 mm");
-    assert!(said("x").unwrap_err().starts_with("limit: its default x is no JSON"));
+    assert!(said("x").unwrap_err().starts_with("limit: its default x is not valid JSON"));
     assert_eq!(said("5").unwrap(), 5.0);
 }

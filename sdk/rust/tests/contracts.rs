@@ -1,4 +1,5 @@
-//! The contracts can be fulfilled with the payloads of the SDK, and their tables say of these what the structs say.
+//! The contracts can be fulfilled with the payloads of the SDK, and their tables say of these what the
+//! structs say.
 #![allow(clippy::unwrap_used)]
 
 use trocar_plugin_api::contracts::{CONTRACTS, PAYLOADS, leaves_of_payload};
@@ -69,7 +70,8 @@ fn the_tables_describe_every_payload_field_by_field_as_the_structs_do() {
     all_payloads!(compare);
 }
 
-/// What an author in C reads of a payload in `docs/INTERFACES.md`: its fields with their types, in the order of the page.
+/// A payload as an author in C reads it in `docs/INTERFACES.md`: its fields with their types, in the order of
+/// the page.
 struct Page {
     text: String,
 }

@@ -12,7 +12,7 @@ fn c_dir() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../c")
 }
 
-/// Compiles one of the tests' C++ sources with `options` and gives the file made of it.
+/// Compiles one of the tests' C++ sources with `options` and returns the resulting file.
 fn compiled(source: &str, name: &str, options: &[&str]) -> PathBuf {
     let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cpp_header");
     std::fs::create_dir_all(&dir).unwrap();

@@ -1,4 +1,4 @@
-//! Panics and errors of an author's code: what the host gets to see.
+//! Panics and errors of an author's code, as the host sees them.
 #![allow(clippy::unwrap_used)]
 #![forbid(unsafe_code)]
 

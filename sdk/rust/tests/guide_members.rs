@@ -1,4 +1,5 @@
-//! The component the plugin guide shows for names, units and optional members, and how a test talks to each of them.
+//! The component the plugin guide shows for names, units and optional members, and how a test talks to each
+//! of them.
 #![allow(clippy::unwrap_used)]
 
 use trocar_plugin_api::manifest::Manifest;

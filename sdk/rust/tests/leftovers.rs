@@ -1,5 +1,6 @@
-//! Things safe code may do with what belongs to a component: keep it beyond its end, or exchange its lists.
-//! The host is asked to keep what is still held, and only then; a command never becomes another list's.
+//! Things that safe code may do with parts of a component: keep them beyond its end, or exchange its lists.
+//! The host is asked to keep the parts that are still held, and only those; a command never becomes another
+//! list's.
 #![allow(clippy::unwrap_used)]
 
 mod little_host;
@@ -13,7 +14,7 @@ use trocar_sdk::prelude::*;
 
 type Left = Box<dyn Any + Send>;
 
-/// Takes out of itself what it is told to, for the test to hold.
+/// Hands out its own parts as it is told to, for the test to hold.
 #[derive(Component)]
 #[component(model = "none", provides("ctl"), requires("peer"))]
 struct Holder {
@@ -123,7 +124,7 @@ struct Big {
     v: [f64; 64],
 }
 
-/// Two lists, whose commands take arguments of two sizes; what became of the lists is a setting.
+/// Two lists, whose commands take arguments of two sizes; the fate of the lists is a setting.
 #[derive(Component)]
 #[component(model = "none", provides("arm_{}", "tool_{}"), requires("robot_{}"))]
 struct Lists {
@@ -199,7 +200,7 @@ fn a_command_means_what_the_host_was_told_whatever_became_of_the_lists() {
         host.on_event(1, 3).unwrap();
         assert_eq!(host.state().told, 203, "{became}: robot_b/stopped");
         assert!(host.command(3, 5.0).is_err(), "{became}: there are three");
-        // Told anew, the lists are what they are now.
+        // After another description the lists have their present state.
         host.describe_and_bind();
     }
 }

@@ -1,4 +1,5 @@
-//! Repeated ports and interfaces through the C table: described, tied, called by id, changed while the component lives.
+//! Repeated ports and interfaces through the C table: described, tied, called by id, changed while the
+//! component lives.
 #![allow(clippy::unwrap_used)]
 
 mod little_host;

@@ -109,7 +109,8 @@ fn the_happy_path_allocates_nothing() {
     let mut tick =
         AbiTick { struct_size: size_of::<AbiTick>() as u32, period_ns: 1_000_000, ..Default::default() };
     let (arg, mut ret, mut row) = (2.0f64, 0.0f64, 0.0f64);
-    // SAFETY: the entries are called as a host does: one thread, a live instance, values of the described types.
+    // SAFETY: the entries are called as a host does: one thread, a live instance, values of the described
+    // types.
     unsafe {
         let this = table.create.unwrap()(&host, name, &mut err);
         assert!(!this.is_null());

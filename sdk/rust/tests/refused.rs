@@ -1,12 +1,12 @@
-//! Classes that no host would list do not compile, and the compiler says why at the author's own words: each case is
-//! compiled by cargo. What the tokens alone give away is in `sdk/derive/src/refused.rs`.
+//! Classes that no host would list do not compile, and the compiler says why at the author's own words: each
+//! case is compiled by cargo. Refusals that the tokens alone give away are in `sdk/derive/src/refused.rs`.
 #![allow(clippy::unwrap_used)]
 
 use std::path::Path;
 use std::process::Command;
 use trocar_sdk::serde_json::Value;
 
-/// Name, source, what is said, and the source text it is said at.
+/// Name, source, the compiler's message, and the source text it points at.
 const CASES: &[(&str, &str, &str, &str)] = &[
     (
         "rate_of_a_signal",
@@ -169,7 +169,8 @@ const CONTROL: &str = r#"#[derive(Payload, Clone, Copy)] #[repr(C)] struct Goal 
     }
     impl Component for Cam {}"#;
 
-/// The same, where one mistake is one error: what follows from code that is not there is no business of the author's.
+/// More cases, where one mistake is one error: the author sees no error that follows from code that is
+/// missing.
 const ALONE: &[(&str, &str, &str)] = &[
     (
         "unit_under_an_event",
@@ -227,9 +228,9 @@ fn every_case_fails_with_its_sentence_at_its_place() {
          trocar-sdk = {{ path = {here:?} }}\n\n[workspace]\n"
     );
     std::fs::write(project.join("Cargo.toml"), manifest).unwrap();
-    // The same versions as here, so nothing is asked of a registry.
+    // The versions are the same as here, so nothing is asked of a registry.
     std::fs::copy(here.join("../../Cargo.lock"), project.join("Cargo.lock")).unwrap();
-    // One that compiles, so that a case cannot fail for what surrounds it.
+    // One case that compiles, so that no case fails because of its surroundings.
     let control = ("control", CONTROL, "", "");
     let alone = ALONE.iter().map(|(name, source, ..)| (name, source));
     let cases = CASES.iter().chain([&control]).map(|(name, source, ..)| (name, source));
@@ -278,7 +279,7 @@ fn every_case_fails_with_its_sentence_at_its_place() {
     }
 }
 
-/// The span, or what it is the expansion of, is `wanted` in the source.
+/// Tells whether the span, or the span it is expanded from, is `wanted` in the source.
 fn marks(span: &Value, wanted: &str) -> bool {
     if span.is_null() {
         return false;

@@ -1,4 +1,5 @@
-//! A class that is safe from any thread: its handle does it, beside an entry that hangs, and the component is left alone.
+//! A class that is safe from any thread: its handle makes it safe, beside an entry that hangs, and the
+//! component is left alone.
 #![allow(clippy::unwrap_used)]
 
 use core::ffi::c_void;
@@ -10,7 +11,7 @@ use trocar_sdk::__private::Export;
 use trocar_sdk::prelude::*;
 use trocar_sdk::testing::Bench;
 
-/// Where the step that hangs and the test meet.
+/// Meeting point of the step that hangs and the test.
 struct Outside {
     /// The step is inside, and may go on.
     inside: Barrier,

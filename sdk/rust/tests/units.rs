@@ -1,4 +1,4 @@
-//! What compiles as a unit is one for the host, and nothing else: two readers, one grammar.
+//! Every unit that compiles is one for the host, and nothing else is: two readers, one grammar.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;

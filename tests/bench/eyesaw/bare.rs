@@ -1,6 +1,7 @@
 //! A program that does nothing but write bytes to a file: what any recorder has to do, and nothing else.
 //!
-//! Invariant: what it writes comes from memory of its own, a picture each 33 ms and the rest in between; its file goes with it.
+//! Invariant: what it writes comes from memory of its own, a picture each 33 ms and the rest in between; its
+//! file goes with it.
 
 use std::fs::{self, File};
 use std::io::Write;

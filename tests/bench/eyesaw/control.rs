@@ -1,4 +1,5 @@
-//! What the machine itself does meanwhile: threads without trocar that have the same periods, and the same work.
+//! What the machine itself does meanwhile: threads without trocar that have the same periods, and the same
+//! work.
 //!
 //! Invariant: nothing of trocar is called here, so whatever is late or lost here is the machine's doing.
 
@@ -196,7 +197,8 @@ pub(super) fn bare(work: Nominal, seconds: u64) -> Beyond {
     Beyond { mean_ns: beyond(mean_ns), p50_ns: of(50), p99_ns: of(99) }
 }
 
-/// By how much 99 of 100 turns of a bare thread with this period took longer at most than their work takes, ns.
+/// By how much 99 of 100 turns of a bare thread with this period took longer at most than their work takes,
+/// ns.
 pub(super) fn longer(period_ns: u64, work_ns: f64, seconds: u64) -> f64 {
     let spin = Spin::calibrated();
     let end = now_ns() + seconds * 1000 * MS;

@@ -3,7 +3,8 @@
 //! The tool is left out: the depth of its tip and its distance from the retina are tests of
 //! `plugins/stereo-depth`, over twenty scenes.
 //!
-//! Invariant: both matchers have the pairs of one camera, and a map is held against the truth of its own pair.
+//! Invariant: both matchers have the pairs of one camera, and a map is held against the truth of its own
+//! pair.
 
 use serde_json::Value;
 use trocar_tests::eventually;
@@ -17,7 +18,8 @@ use crate::lab::as_number;
 const MAPS: f64 = 20.0;
 /// Largest share of disparities that are off by more than 1 px.
 const WRONG: f64 = 0.05;
-/// Matchers, the least share of the pixels that they tell a disparity of, and the longest time for one map: depth at 15 Hz, ns.
+/// Matchers, the least share of the pixels that they tell a disparity of, and the longest time for one map:
+/// depth at 15 Hz, ns.
 const MATCHERS: [(&str, f64, Option<f64>); 2] = [("bm", 0.9, Some(1e9 / 15.0)), ("sgm", 0.95, None)];
 
 pub(super) fn measure(verdicts: &mut Verdicts) {

@@ -10,8 +10,8 @@ use std::path::Path;
 const WRITES: usize = 64;
 const BYTES: usize = 64 << 10;
 
-/// The processor that took most of the interrupts of the device that had most of them while a file was written there; 0 where none
-/// had any.
+/// The processor that took most of the interrupts of the device that had most of them while a file was
+/// written there; 0 where none had any.
 pub(super) fn interrupted_processor(directory: &Path) -> usize {
     let path = directory.join("interrupts");
     let before = counts();
@@ -31,7 +31,8 @@ pub(super) fn interrupted_processor(directory: &Path) -> usize {
     processor.filter(|(_, count)| **count > 0).map_or(0, |(processor, _)| processor)
 }
 
-/// Interrupts so far by device and processor; those that processors send themselves and one another have names, not numbers.
+/// Interrupts so far by device and processor; those that processors send themselves and one another have
+/// names, not numbers.
 fn counts() -> Vec<(String, Vec<u64>)> {
     let all = fs::read_to_string("/proc/interrupts").expect("interrupts are counted");
     let processors = all.lines().next().map_or(0, |head| head.split_whitespace().count());

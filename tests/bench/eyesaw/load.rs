@@ -1,8 +1,9 @@
-//! The canonical load: 2 x 1024x768 RGB at 30 Hz through rectify, overlay and picture in picture, OCT at 4 kHz, a robot at 1 kHz
-//! that scans meanwhile; in one process and in three.
+//! The canonical load: 2 x 1024x768 RGB at 30 Hz through rectify, overlay and picture in picture, OCT at 4
+//! kHz, a robot at 1 kHz that scans meanwhile; in one process and in three.
 //!
-//! Invariant: what the framework costs is the mean age of frames at the sink less the time the classes spent in their own steps for
-//! them, both of the same frames; and the age of frames on a way of the same shape on which nothing is done.
+//! Invariant: what the framework costs is the mean age of frames at the sink less the time the classes spent
+//! in their own steps for them, both of the same frames; and the age of frames on a way of the same shape on
+//! which nothing is done.
 
 use std::thread;
 use std::time::Duration;

@@ -1,7 +1,8 @@
-//! EyeSAW under its full load, held against its gates: `bench eyesaw[/load|/spectra|/scan|/depth|/stop|/recording]`.
+//! EyeSAW under its full load, held against its gates: `bench
+//! eyesaw[/load|/spectra|/scan|/depth|/stop|/recording]`.
 //!
-//! Invariant: the built programs and plugins run as users start them; what decides is counted inside of them, and each bound is
-//! widened by what bare threads on the same machine showed.
+//! Invariant: the built programs and plugins run as users start them; what decides is counted inside of them,
+//! and each bound is widened by what bare threads on the same machine showed.
 
 mod bare;
 mod control;

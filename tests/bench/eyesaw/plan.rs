@@ -40,7 +40,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// The file without what is aside of the load; and nobody looks at its display: browsers are no part of it.
+    /// The file without what is aside of the load; and nobody looks at its display: browsers are no part of
+    /// it.
     pub(super) fn new() -> Plan {
         let file = repository().join(FILE);
         let text = fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
@@ -81,8 +82,8 @@ impl Plan {
         self.connections.push(json!({ "client": client, "server": server }));
     }
 
-    /// Frames are rectified, and have a picture in them: source, rectify, overlay, pip, sink. The sink keeps account, and gives
-    /// them to the display.
+    /// Frames are rectified, and have a picture in them: source, rectify, overlay, pip, sink. The sink keeps
+    /// account, and gives them to the display.
     pub(super) fn with_whole_display_path(mut self) -> Plan {
         let member = || json!({ "stream_of": STREAM });
         let config = json!({ "calibration": repository().join(CALIBRATION) });
@@ -168,7 +169,8 @@ impl Plan {
         self
     }
 
-    /// Who has steps of microseconds is on one processor; pictures and the recorder are on that which the disk interrupts.
+    /// Who has steps of microseconds is on one processor; pictures and the recorder are on that which the
+    /// disk interrupts.
     pub(super) fn placed(mut self, interrupted: usize) -> Plan {
         let last = thread::available_parallelism().map_or(1, usize::from) - 1;
         let quiet = usize::from(interrupted == 0).min(last);
@@ -180,8 +182,8 @@ impl Plan {
         self
     }
 
-    /// A recorder in the process of the camera, with the priority that `trocar record` gives it, and nothing connected to it. It looks
-    /// when the fast are done, as they go one after the other in the file.
+    /// A recorder in the process of the camera, with the priority that `trocar record` gives it, and nothing
+    /// connected to it. It looks when the fast are done, as they go one after the other in the file.
     pub(super) fn recorder(mut self, directory: &Path) -> Plan {
         let execution = json!({ "priority": 1, "phase_us": 700 });
         self.add(RECORDER, "recorder/recorder", execution, json!({ "directory": directory }));

@@ -1,11 +1,13 @@
-//! The canonical load while it is recorded: video, 4000 A-scans a second, a robot of 1 kHz that scans, all events and commands.
+//! The canonical load while it is recorded: video, 4000 A-scans a second, a robot of 1 kHz that scans, all
+//! events and commands.
 //!
-//! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without, in one running system,
-//! turn and turn about: without is nothing connected and the recorder standing still. Each stretch is compared with the one beside it,
-//! and the median of all pairs is judged: a second in which the machine did something else is one pair. All stretches of a kind taken
-//! together are told beside it: there such a second is all that is seen. Whose steps take microseconds runs on a processor that the
-//! disk does not interrupt. Told, too, is what the same bytes cost them when a program does nothing but write them, through the page
-//! cache: last, for that has held the robot up for so long that a scan was given up.
+//! Invariant: what a recorder costs whom it records is the time of their steps with it beside that without,
+//! in one running system, turn and turn about: without is nothing connected and the recorder standing still.
+//! Each stretch is compared with the one beside it, and the median of all pairs is judged: a second in which
+//! the machine did something else is one pair. All stretches of a kind taken together are told beside it:
+//! there such a second is all that is seen. Whose steps take microseconds runs on a processor that the disk
+//! does not interrupt. Told, too, is what the same bytes cost them when a program does nothing but write
+//! them, through the page cache: last, for that has held the robot up for so long that a scan was given up.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -24,7 +26,8 @@ use crate::table::median;
 
 /// Those whose steps are timed, beside the stream of A-scans.
 const TIMED: [&str; 3] = ["host/camera", "robot/robot", "host/bscan"];
-/// What is recorded, how many may wait, and how many come in a second at least; events and commands come as they do.
+/// What is recorded, how many may wait, and how many come in a second at least; events and commands come as
+/// they do.
 const OUTPUTS: [(&str, usize, f64); 8] = [
     ("host/camera/image", 64, 30.0),
     ("oct/source/spectra", 64, 1000.0),
@@ -82,7 +85,8 @@ impl Stretch {
     }
 }
 
-/// Times of steps in a stretch, ns, in the order of [`TIMED`] and then that of one A-scan: percentile 99 and median.
+/// Times of steps in a stretch, ns, in the order of [`TIMED`] and then that of one A-scan: percentile 99 and
+/// median.
 struct Times {
     p99: Vec<f64>,
     p50: Vec<f64>,
@@ -162,7 +166,8 @@ struct Turns {
 }
 
 impl Turns {
-    /// The times of so many seconds go to that account. Where the scan was given up meanwhile another one is begun.
+    /// The times of so many seconds go to that account. Where the scan was given up meanwhile another one is
+    /// begun.
     fn stretch(&mut self, rig: &Rig, stretch: Stretch, seconds: u64) {
         thread::sleep(SETTLE);
         turn_to(rig, stretch);
@@ -278,7 +283,8 @@ fn compare(verdicts: &mut Verdicts, rig: &Rig) {
 struct Recording<'r> {
     rig: &'r Rig,
     file: String,
-    /// What its queues had dropped when it began: what came between the connection and then found nobody, and is no loss of it.
+    /// What its queues had dropped when it began: what came between the connection and then found nobody, and
+    /// is no loss of it.
     dropped: Vec<f64>,
 }
 
@@ -305,8 +311,8 @@ impl<'r> Recording<'r> {
         (1..=OUTPUTS.len()).map(|n| self.rig.dropped(&format!("{RECORDER}/in_{n}"))).collect()
     }
 
-    /// Closes its file, and leaves nothing of it: samples lost as the recorder counts, samples its queues dropped, whether it was
-    /// whole.
+    /// Closes its file, and leaves nothing of it: samples lost as the recorder counts, samples its queues
+    /// dropped, whether it was whole.
     fn end(self) -> (f64, f64, bool) {
         self.ctl("stop", Value::Null);
         let last = eventually("its file is closed", || {

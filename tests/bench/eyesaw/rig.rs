@@ -142,7 +142,8 @@ impl Rig {
         self.await_active(component);
     }
 
-    /// Begins a scan of so many m, and another one where it was given up before it had so many columns; answers how often that was so.
+    /// Begins a scan of so many m, and another one where it was given up before it had so many columns;
+    /// answers how often that was so.
     pub(super) fn scan_of(&self, length_m: f64, speed_m_s: f64, least: f64) -> usize {
         let mut given_up = 0;
         self.start_scan(length_m, speed_m_s);
@@ -160,7 +161,8 @@ impl Rig {
 
     /// As soon as one can begin.
     fn start_scan(&self, length_m: f64, speed_m_s: f64) {
-        // Across the fovea, wherever the tip stands: lines through the tip would go on where the last one was broken off.
+        // Across the fovea, wherever the tip stands: lines through the tip would go on where the last one was
+        // broken off.
         let half_m = 0.5 * length_m;
         let request = json!({
             "from": [-half_m, 0, 0.121], "to": [half_m, 0, 0.121], "width": 0, "angle": 0, "speed": speed_m_s,

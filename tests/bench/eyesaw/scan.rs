@@ -1,7 +1,8 @@
-//! Robot-Assisted B-Scans in real time, held against the truth: robot, OCT and tracker in three processes, beside one process.
+//! Robot-Assisted B-Scans in real time, held against the truth: robot, OCT and tracker in three processes,
+//! beside one process.
 //!
-//! Invariant: the deviation is that of the true distance while columns were taken, at each line; the control is the same scan in one
-//! process on the same machine just before.
+//! Invariant: the deviation is that of the true distance while columns were taken, at each line; the control
+//! is the same scan in one process on the same machine just before.
 
 use serde_json::{Value, json};
 

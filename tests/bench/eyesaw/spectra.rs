@@ -1,7 +1,9 @@
-//! How many A-scans the built OCT plugin makes of spectra in a second of one core, the surface included: by itself
-//! and beside the stereo load, which takes of the caches and of what two processors share: gate A8 holds for both.
+//! How many A-scans the built OCT plugin makes of spectra in a second of one core, the surface included: by
+//! itself and beside the stereo load, which takes of the caches and of what two processors share: gate A8
+//! holds for both.
 //!
-//! Invariant: timed from spectra that are there to their distances, in the stream that makes them, frame by frame of 64 lines.
+//! Invariant: timed from spectra that are there to their distances, in the stream that makes them, frame by
+//! frame of 64 lines.
 
 use std::thread;
 use std::time::Duration;
@@ -14,7 +16,8 @@ use super::rig::{OFFSET_M, Rig, world};
 use super::verdicts::{Unit, Verdicts};
 use crate::lab::as_number;
 
-/// Samples of a line, lines per second so that a core makes the spectra, too, and the least A-scans per second and core.
+/// Samples of a line, lines per second so that a core makes the spectra, too, and the least A-scans per
+/// second and core.
 const SIZES: [(u64, f64, f64); 2] = [(1024, 32_000.0, 250_000.0), (2048, 16_000.0, 120_000.0)];
 /// Each second so many frames of 64 lines.
 const LINES: f64 = 64.0;

@@ -1,7 +1,7 @@
 //! `kill -9` in the middle of a scan: of the process that controls the robot, and of the one that measures.
 //!
-//! Invariant: when the robot holds and where it stands is told by an account in its own process, of each of its cycles; the moment is
-//! read from the same clock right before the signal.
+//! Invariant: when the robot holds and where it stands is told by an account in its own process, of each of
+//! its cycles; the moment is read from the same clock right before the signal.
 
 use std::thread;
 use std::time::Duration;
@@ -45,7 +45,8 @@ struct Seen {
 }
 
 impl Seen {
-    /// Further than at the speed of the moment until it must hold and its drive has followed; and what the machine adds to that.
+    /// Further than at the speed of the moment until it must hold and its drive has followed; and what the
+    /// machine adds to that.
     fn beyond_m(&self) -> (f64, f64) {
         let way_m = self.speed_m_s * (HELD_NS + LAG_NS) * 1e-9 + STEPS_M;
         ((self.moved_m - way_m).max(0.0), self.speed_m_s * self.late_ns * 1e-9)

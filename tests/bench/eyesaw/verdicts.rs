@@ -1,7 +1,7 @@
 //! What was seen beside what is allowed, line by line as it comes; and how it all ends.
 //!
-//! Invariant: a claim is widened by what a control run on the same machine showed, at most to twice its bound, and by nothing else;
-//! one that is no finite number does not hold.
+//! Invariant: a claim is widened by what a control run on the same machine showed, at most to twice its
+//! bound, and by nothing else; one that is no finite number does not hold.
 
 use crate::table::duration;
 
@@ -50,7 +50,8 @@ impl Verdicts {
         print!("\n### {title}\n\n| what | seen | bound | control | holds |\n|---|---|---|---|---|\n");
     }
 
-    /// At most `most`, and what the control adds to it: no more than that again, unless nothing is allowed by itself.
+    /// At most `most`, and what the control adds to it: no more than that again, unless nothing is allowed by
+    /// itself.
     pub(super) fn at_most(&mut self, what: &str, seen: f64, most: f64, control: f64, unit: Unit) {
         let control = if most > 0.0 { control.min(most) } else { control };
         let bound = format!("≤ {}", unit.write(most));

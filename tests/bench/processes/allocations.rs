@@ -1,7 +1,8 @@
-//! What the threads of two connected components allocate, in two processes that count it: this program again, as hosts.
+//! What the threads of two connected components allocate, in two processes that count it: this program again,
+//! as hosts.
 //!
-//! Invariant: counted is from one step of a component to its next, so all that its thread does in between is in it; counting itself
-//! allocates nothing.
+//! Invariant: counted is from one step of a component to its next, so all that its thread does in between is
+//! in it; counting itself allocates nothing.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -34,7 +35,8 @@ thread_local! {
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-// SAFETY: all is done by the system's allocator; the count is the thread's own and is made without allocating.
+// SAFETY: all is done by the system's allocator; the count is the thread's own and is made without
+// allocating.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);

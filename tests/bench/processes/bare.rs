@@ -1,6 +1,7 @@
 //! What two processes charge each other without trocar: a ring in a memfd both map, and a futex.
 //!
-//! Invariant: the other end is this program again, told so by its first argument; it ends with its pipe or after what it was to do.
+//! Invariant: the other end is this program again, told so by its first argument; it ends with its pipe or
+//! after what it was to do.
 
 use std::hint::black_box;
 use std::io::{BufRead, BufReader, Lines, Write};
@@ -233,7 +234,8 @@ struct Sendable(Shared);
 // SAFETY: what is shared is atomics and slots that one end has at a time; the mapping stays.
 unsafe impl Send for Sendable {}
 
-/// `--bare WHAT FD BYTES COUNT`: takes samples and says how long they took, or sends each back; or holds memory until it is killed.
+/// `--bare WHAT FD BYTES COUNT`: takes samples and says how long they took, or sends each back; or holds
+/// memory until it is killed.
 pub(crate) fn run_other_end(args: &[String]) {
     let number = |at: usize| args[at].parse::<usize>().expect("a number");
     let (fd, bytes, count) = (number(1), number(2), number(3));

@@ -1,7 +1,8 @@
-//! Connections between two processes of one machine: what they cost, and how soon they stand, are lost, and stand again.
+//! Connections between two processes of one machine: what they cost, and how soon they stand, are lost, and
+//! stand again.
 //!
-//! Invariant: both ends are processes of their own; times of samples are taken inside the components, and the bare baseline is two
-//! processes, too.
+//! Invariant: both ends are processes of their own; times of samples are taken inside the components, and the
+//! bare baseline is two processes, too.
 
 pub(crate) mod allocations;
 pub(crate) mod bare;

@@ -7,7 +7,8 @@ use trocar_tests::repository;
 /// What stands in the table instead.
 pub(super) const MISSING: &str = "iceoryx2: `cargo build --release --manifest-path tests/bench/peers/Cargo.toml --target-dir target/peers`";
 
-/// Median way of a sample of iceoryx2 to a process that sleeps until it is told, ns; `None` where it was not built.
+/// Median way of a sample of iceoryx2 to a process that sleeps until it is told, ns; `None` where it was not
+/// built.
 pub(super) fn one_way(bytes: usize, count: usize) -> Option<f64> {
     let program = repository().join("target/peers/release/peer-iceoryx2");
     if !program.exists() {

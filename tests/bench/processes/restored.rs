@@ -49,8 +49,8 @@ pub(super) fn measure(table: &mut Table) {
     table.row(what, median(times), Goal::Ns(50e6), "`trocar host --help`, begin to end", program());
 }
 
-/// As if it had touched memory that is not there. The first signal only ends the handler that looks for stacks that are full: a
-/// real fault comes again by itself.
+/// As if it had touched memory that is not there. The first signal only ends the handler that looks for
+/// stacks that are full: a real fault comes again by itself.
 fn crash(pid: u64) {
     let end = now_ns() + 1_000_000_000;
     // SAFETY: signals to a process that this benchmark's own child started and waits for.

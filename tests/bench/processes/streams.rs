@@ -1,4 +1,5 @@
-//! Samples and frames from one process to the other: one way, beside a bare ring in a memfd, and beside iceoryx2.
+//! Samples and frames from one process to the other: one way, beside a bare ring in a memfd, and beside
+//! iceoryx2.
 
 use serde_json::{Value, json};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel};

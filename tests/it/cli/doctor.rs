@@ -1,6 +1,7 @@
 //! `trocar doctor`, on this machine as it is and with less than it allows.
 //!
-//! Promise: all findings are told, each that is not well with what it costs and how to allow more, and the exit code follows.
+//! Promise: all findings are told, each that is not well with what it costs and how to allow more, and the
+//! exit code follows.
 
 use serde_json::Value;
 use trocar_tests::{Output, Trocar, World};

@@ -1,6 +1,7 @@
 //! An address somebody listens on already: who it is, and the way out.
 //!
-//! Promise: the sentence fits whoever is there, the newcomer leaves nothing behind, and whoever is there goes on.
+//! Promise: the sentence fits whoever is there, the newcomer leaves nothing behind, and whoever is there goes
+//! on.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};

@@ -1,6 +1,7 @@
 //! What the command line says to somebody who meets the program for the first time.
 //!
-//! Promise: a mistake is told by what it is, arrows point from server to client, and what happened can be read afterwards.
+//! Promise: a mistake is told by what it is, arrows point from server to client, and what happened can be
+//! read afterwards.
 
 use std::fs;
 

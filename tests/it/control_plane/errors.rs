@@ -1,8 +1,9 @@
 //! The error table, one test per group of rows, through real grpcurl: code, reason, and the words a caller
 //! needs.
 //!
-//! Invariant: every reason of `docs/errors.md` is either a row here or named below with why nobody can meet it yet.
-//! The rows of a group share a host, each with components of its own; a test names all rows that fail.
+//! Invariant: every reason of `docs/errors.md` is either a row here or named below with why nobody can meet
+//! it yet. The rows of a group share a host, each with components of its own; a test names all rows that
+//! fail.
 
 use std::collections::BTreeSet;
 use std::fs;

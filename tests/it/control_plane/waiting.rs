@@ -1,7 +1,7 @@
 //! WaitFor an event, through real grpcurl: what a component sends while somebody waits reaches them.
 //!
-//! Promise: with `call` nothing is missed between asking and sending; a component that is made anew is waited for, one
-//! that is removed is not; it works the same in a process of its own.
+//! Promise: with `call` nothing is missed between asking and sending; a component that is made anew is waited
+//! for, one that is removed is not; it works the same in a process of its own.
 
 use std::thread;
 

@@ -1,4 +1,5 @@
-//! The filters of `filters`, all in one host behind each other, and what they do when what they need is wrong or ceases.
+//! The filters of `filters`, all in one host behind each other, and what they do when what they need is wrong
+//! or ceases.
 
 use serde_json::{Value, json};
 

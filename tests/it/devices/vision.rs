@@ -12,7 +12,8 @@ fn data(file: &str) -> String {
     repository().join("tests/data").join(file).display().to_string()
 }
 
-/// A colour camera with a Bayer filter to the screen, a YUYV one as inset and to depth, real pairs to be rectified.
+/// A colour camera with a Bayer filter to the screen, a YUYV one as inset and to depth, real pairs to be
+/// rectified.
 fn file() -> String {
     let source = |format: &str| {
         json!({ "class": "stereo/phantom_source", "execution": { "model": "stream", "rate_hz": 30 },

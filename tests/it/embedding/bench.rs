@@ -1,4 +1,5 @@
-//! The bench of the SDK and the host, side by side: the same class, the same mishaps, the same standing afterwards.
+//! The bench of the SDK and the host, side by side: the same class, the same mishaps, the same standing
+//! afterwards.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
@@ -40,7 +41,8 @@ impl Component for Camera {
     }
 }
 
-/// What a sample with a mistake in it and two good ones come to: the thread of the library is the author's, and so is its panic.
+/// What a sample with a mistake in it and two good ones come to: the thread of the library is the author's,
+/// and so is its panic.
 fn three_samples() -> Vec<String> {
     let host = LIBRARY.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap();
     let sample = move |good: bool| {

@@ -1,4 +1,5 @@
-//! The SDK and the host draw the line at the same place: what just compiles is listed, and one step further is refused.
+//! The SDK and the host draw the line at the same place: what just compiles is listed, and one step further
+//! is refused.
 
 use trocar::lcm::Lcm;
 use trocar::{Host, StaticPlugin};

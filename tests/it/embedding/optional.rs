@@ -1,4 +1,5 @@
-//! A connection whose optional members are misspelt: it is made, and its answer says that nothing passes through it.
+//! A connection whose optional members are misspelt: it is made, and its answer says that nothing passes
+//! through it.
 
 use serde_json::json;
 use trocar::model::{ConnectOptions, PortId, Request};

@@ -1,6 +1,8 @@
-//! The ways a program lets a host go: dropped at an early return, in a panic, without its runtime, or shut down.
+//! The ways a program lets a host go: dropped at an early return, in a panic, without its runtime, or shut
+//! down.
 //!
-//! Promise: on each of them an actuator is made safe, steps no more and is destroyed before the program goes on.
+//! Promise: on each of them an actuator is made safe, steps no more and is destroyed before the program goes
+//! on.
 
 use std::collections::BTreeMap;
 use std::future::Future;

@@ -1,6 +1,7 @@
 //! How a component is brought to each of its entries, so that it misbehaves there.
 //!
-//! Invariant: everything up to the entry goes well; the last request of a way is the one that meets what is told.
+//! Invariant: everything up to the entry goes well; the last request of a way is the one that meets what is
+//! told.
 
 use serde_json::{Value, json};
 use trocar_tests::{Failure, Grpcurl, eventually};

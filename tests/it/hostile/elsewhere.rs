@@ -117,7 +117,8 @@ fn a_process_of_another_machine_user_or_release_is_refused_each_with_its_sentenc
         lab.furnish(name);
         lab.start(name);
         let (before, held) = (made(&lab), [&left, &host].map(|host| holds(host.pid())));
-        // Each of them once as the server's process, which is asked first, and as the client's, when the server's half is made.
+        // Each of them once as the server's process, which is asked first, and as the client's, when the
+        // server's half is made.
         for (client, server) in [(name, "left"), ("left", name)] {
             for (to, from) in [("e/sample", "s/value"), ("client/Required", "server/Provided")] {
                 for carrier in ["", "memfd"] {

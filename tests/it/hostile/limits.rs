@@ -1,4 +1,5 @@
-//! A machine that gives no files and no memory: refused with a sentence, nothing half made, and well again when there is some.
+//! A machine that gives no files and no memory: refused with a sentence, nothing half made, and well again
+//! when there is some.
 
 use std::process::Command;
 

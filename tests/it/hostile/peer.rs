@@ -1,4 +1,5 @@
-//! A peer behind an agreed connection: nonsense in the memory it shares, in what it says, in what it hands over.
+//! A peer behind an agreed connection: nonsense in the memory it shares, in what it says, in what it hands
+//! over.
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::Arc;

@@ -1,6 +1,7 @@
 //! How a thread is told that something has come: woken, or looking by itself at each period.
 //!
-//! A period of an hour shows the difference without a clock: who is woken answers now, who looks by itself not within any deadline.
+//! A period of an hour shows the difference without a clock: who is woken answers now, who looks by itself
+//! not within any deadline.
 
 use serde_json::{Value, json};
 use trocar_tests::Grpcurl;

@@ -1,7 +1,7 @@
 // A plugin that breaks the contract where its configuration says, and whose words a terminal would obey.
 //
-// Invariant: without configuration it behaves; it changes the working directory whenever it is loaded, and stays there
-// for many looks of a watchdog.
+// Invariant: without configuration it behaves; it changes the working directory whenever it is loaded, and
+// stays there for many looks of a watchdog.
 #include "trocar_plugin.h"
 
 #include <algorithm>

@@ -1,6 +1,8 @@
-//! Plugin files that were built with the SDKs of earlier minors of the ABI: `tests/data/abi`, which only grows.
+//! Plugin files that were built with the SDKs of earlier minors of the ABI: `tests/data/abi`, which only
+//! grows.
 //!
-//! Promise: a plugin that a laboratory built once is loaded and works with every later host of the same major.
+//! Promise: a plugin that a laboratory built once is loaded and works with every later host of the same
+//! major.
 
 use std::path::{Path, PathBuf};
 

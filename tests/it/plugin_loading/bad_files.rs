@@ -1,6 +1,7 @@
 //! Every kind of bad file, one row each.
 //!
-//! Invariant: a row says how the file is made, where it is refused (listing or Create), and the words that must be there.
+//! Invariant: a row says how the file is made, where it is refused (listing or Create), and the words that
+//! must be there.
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};

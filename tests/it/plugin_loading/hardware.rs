@@ -1,6 +1,7 @@
 //! A class that opens a device, in a plugin that is listed, described, checked and vetted.
 //!
-//! Promise: no code of that class runs in any process before a component is made of it, and then only in its host.
+//! Promise: no code of that class runs in any process before a component is made of it, and then only in its
+//! host.
 
 use std::fs;
 
@@ -9,7 +10,8 @@ use trocar_tests::{Built, HostProcess, Trocar, World, eventually};
 
 use super::plugin;
 
-/// What code of the class has left behind in the directory the host and its vetting child run in: entry and process.
+/// What code of the class has left behind in the directory the host and its vetting child run in: entry and
+/// process.
 fn marks(world: &World) -> Vec<String> {
     let text = fs::read_to_string(world.path("device-marks")).unwrap_or_default();
     text.lines().map(str::to_owned).collect()

@@ -1,7 +1,7 @@
 //! How processes of a system end, and what follows.
 //!
-//! Promise: devices are made safe at every end that can be; one that is of no use is put down where its policy says so; what
-//! did not end in order is named; and nobody has to read what `up` says.
+//! Promise: devices are made safe at every end that can be; one that is of no use is put down where its
+//! policy says so; what did not end in order is named; and nobody has to read what `up` says.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};

@@ -1,7 +1,7 @@
 //! Components that get a process of their own while a system runs.
 //!
-//! Promise: `isolation` works from anywhere a Create comes from, as long as somebody keeps the process it is asked beside; what
-//! is refused leaves no process behind, and what is removed takes its process along.
+//! Promise: `isolation` works from anywhere a Create comes from, as long as somebody keeps the process it is
+//! asked beside; what is refused leaves no process behind, and what is removed takes its process along.
 
 use serde_json::{Value, json};
 use trocar_tests::{HostProcess, World, eventually, number};

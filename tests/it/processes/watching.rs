@@ -18,7 +18,8 @@ pub(super) fn row<'a>(figures: &'a Value, part: &str, key: &str, name: &str) -> 
     rows.iter().find(|r| r[key] == name).unwrap_or_else(|| panic!("no {name} in {figures}"))
 }
 
-/// A source at 1 kHz, an actuator that is too slow for its period, streams, commands and events between three processes.
+/// A source at 1 kHz, an actuator that is too slow for its period, streams, commands and events between three
+/// processes.
 const THREE: &str = r#"{
   "version": 1,
   "processes": {

@@ -1,7 +1,8 @@
-//! What threads do while they are watched: what they allocate, and what they call of the system inside and outside of steps.
+//! What threads do while they are watched: what they allocate, and what they call of the system inside and
+//! outside of steps.
 //!
-//! Invariant: watching itself allocates nothing and calls nothing; a thread is watched from one of its own steps to another,
-//! so all that its executor does in between is in the book.
+//! Invariant: watching itself allocates nothing and calls nothing; a thread is watched from one of its own
+//! steps to another, so all that its executor does in between is in the book.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::backtrace::Backtrace;

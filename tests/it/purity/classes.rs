@@ -153,8 +153,8 @@ fn bridge(any: &mut AnyIn, out: &mut AnyOut) -> u64 {
     came
 }
 
-/// Sends and calls with bytes that are not aligned, as those of a packet are not: what became of the send, and 1 when the call was
-/// answered. From here to another thread it is refused, which costs nothing either.
+/// Sends and calls with bytes that are not aligned, as those of a packet are not: what became of the send,
+/// and 1 when the call was answered. From here to another thread it is refused, which costs nothing either.
 fn call_any(call: &AnyFunction) -> (Outcome, u64) {
     let mut room = [0; 17];
     room[1..9].copy_from_slice(&2.5_f64.to_ne_bytes());

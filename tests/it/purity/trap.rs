@@ -1,7 +1,8 @@
-//! Tells another thread of each system call of one thread, and lets the call go on: a seccomp filter with a listener.
+//! Tells another thread of each system call of one thread, and lets the call go on: a seccomp filter with a
+//! listener.
 //!
-//! Invariant: the watched thread is stopped while it is looked at, so what it notes about itself before a call is true for
-//! that call; and it goes on whatever was seen.
+//! Invariant: the watched thread is stopped while it is looked at, so what it notes about itself before a
+//! call is true for that call; and it goes on whatever was seen.
 
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
@@ -12,8 +13,8 @@ use std::thread;
 /// No listener yet.
 const NONE: i32 = -1;
 
-/// From now on `seen` hears, in a thread of its own, the number of each system call of the calling thread and of the threads
-/// it starts.
+/// From now on `seen` hears, in a thread of its own, the number of each system call of the calling thread and
+/// of the threads it starts.
 ///
 /// # Errors
 /// The kernel has no such listener, or another one listens to this thread already.

@@ -42,7 +42,8 @@ impl Scene {
         number(&row["json"]["steps"])
     }
 
-    /// Waits until a slow step and the one after it are over; answers when the slow one began and the next one did, ns.
+    /// Waits until a slow step and the one after it are over; answers when the slow one began and the next
+    /// one did, ns.
     fn after_slow(&self, slow_steps: u64) -> (u64, u64) {
         let row = eventually("the step after the slow one", || {
             let row = self.newest("host/p")["json"].clone();
@@ -191,7 +192,8 @@ fn overruns_by_half_a_period_and_by_nine_are_counted_exactly_and_nobody_else_mis
         let row = scene.newest("host/p")["json"].clone();
         let (overruns, late, perhaps) =
             (number(&scene.stats("host/p")["overruns"]), number(&row["late"]), number(&row["perhaps_late"]));
-        // The host reads its clock a moment after the component; only in a moment of the machine's do they differ.
+        // The host reads its clock a moment after the component; only in a moment of the machine's do they
+        // differ.
         assert!(overruns >= late && overruns <= perhaps, "{late} to {perhaps} were late: {overruns}, {row}");
         assert!(late >= slow, "{slow} slow steps: {row}");
         let skipped = number(&scene.stats("host/p")["skipped"]);
@@ -208,7 +210,7 @@ fn a_step_of_ten_periods_of_what_moves_nothing_is_overrun_then_unresponsive_then
     scene.grpc.invoke("host/p/ctl/slow", json!(1));
     let overrun = events.until("the overrun", |item| says(item, "a cycle takes longer than its period"));
     let stuck = events.until("the hang", |item| says(item, "it has not come back out of its step"));
-    let again = well.until("its end", |item| says(item, "it runs as it should again"));
+    let again = well.until("its end", |item| says(item, "recovered"));
     let stamps = [overrun, stuck, again].map(|item| number(&item["stampNs"]));
     assert!(stamps.is_sorted(), "in this order: {stamps:?}");
     let (began_ns, next_ns) = scene.after_slow(1);

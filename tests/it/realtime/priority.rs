@@ -1,6 +1,8 @@
-//! Real-time priority and locked memory: granted or refused, as the kernel has it and as the component tells it.
+//! Real-time priority and locked memory: granted or refused, as the kernel has it and as the component tells
+//! it.
 //!
-//! Promise: GetState says nothing else than /proc, and a component whose wishes are refused runs all the same.
+//! Promise: GetState says nothing else than /proc, and a component whose wishes are refused runs all the
+//! same.
 
 use std::fs;
 
@@ -16,7 +18,8 @@ const OF_A_STACK_KIB: u64 = 128;
 /// One thread of `host/p`, three of `host/camera`.
 const THREADS: [&str; 4] = ["p", "camera", "+1 camera", "+2 camera"];
 
-/// A host that is to lock its memory, with components that want a priority, under these limits; `None`: as this process is.
+/// A host that is to lock its memory, with components that want a priority, under these limits; `None`: as
+/// this process is.
 fn scene(limits: Option<&'static [Limit]>) -> Scene {
     let world = World::with_plugins(&["fixture_pace"]);
     let host = HostProcess::start_prepared(&world, "host", &["--lock-memory"], |command| {
@@ -37,7 +40,8 @@ fn scene(limits: Option<&'static [Limit]>) -> Scene {
 }
 
 impl Scene {
-    /// Waits until the kernel schedules a thread by this policy with this real-time priority: a helper may begin late.
+    /// Waits until the kernel schedules a thread by this policy with this real-time priority: a helper may
+    /// begin late.
     fn until_scheduled(&self, thread: &str, expected: (u64, u64)) {
         eventually(&format!("{thread:?} has policy and priority {expected:?}"), || {
             let tasks = fs::read_dir(format!("/proc/{}/task", self.host.pid())).unwrap().flatten();

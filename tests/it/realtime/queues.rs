@@ -1,7 +1,7 @@
 //! A queue of one place before a component that does not come on.
 //!
-//! Promise: whoever finds it full is told at once; what was turned away is counted for the connection and for the component;
-//! what was taken runs.
+//! Promise: whoever finds it full is told at once; what was turned away is counted for the connection and for
+//! the component; what was taken runs.
 
 use serde_json::{Value, json};
 use trocar_tests::{Stream, number};

@@ -1,7 +1,7 @@
 //! Absurd staleness, and circles of components that run in one stream.
 //!
-//! Promise: each is refused with a sentence that names the field or the circle; see `faults/refusals.rs` for periods,
-//! histories, depths and circles of calls.
+//! Promise: each is refused with a sentence that names the field or the circle; see `faults/refusals.rs` for
+//! periods, histories, depths and circles of calls.
 
 use serde_json::{Value, json};
 

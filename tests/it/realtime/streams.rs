@@ -1,7 +1,8 @@
-//! Streams of frames from a system file: filters that break, a branch that takes nothing, wires replaced while frames flow.
+//! Streams of frames from a system file: filters that break, a branch that takes nothing, wires replaced
+//! while frames flow.
 //!
-//! Promise: who is in FAULT is named with the frame it broke at, in state, List and events; every frame is accounted for, the
-//! camera never lacks a slot, and a connection says how old its frames were.
+//! Promise: who is in FAULT is named with the frame it broke at, in state, List and events; every frame is
+//! accounted for, the camera never lacks a slot, and a connection says how old its frames were.
 
 use std::cell::Cell;
 

@@ -1,6 +1,7 @@
 //! What the suite's components are written in, and how they reach the host.
 //!
-//! Invariant: the three offer the same classes under different plugin names, so that one's client takes another's server.
+//! Invariant: the three offer the same classes under different plugin names, so that one's client takes
+//! another's server.
 
 use std::env;
 
@@ -73,7 +74,8 @@ impl From<Language> for Languages {
 }
 
 impl Languages {
-    /// The plugin whose class of this name a lab makes. Filters belong to the clients: they take what servers give.
+    /// The plugin whose class of this name a lab makes. Filters belong to the clients: they take what servers
+    /// give.
     #[must_use]
     pub fn plugin(self, class: &str) -> &'static str {
         if Languages::is_of_servers(class) { self.server.plugin() } else { self.client.plugin() }

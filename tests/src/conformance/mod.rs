@@ -1,7 +1,8 @@
-//! The conformance suite: what connected components may rely on, the same for every way to connect them and every language.
+//! The conformance suite: what connected components may rely on, the same for every way to connect them and
+//! every language.
 //!
-//! Invariant: a case knows neither where its components run nor what they are written in; what may differ it asks its
-//! [`Way`]. No case is left out for one of them.
+//! Invariant: a case knows neither where its components run nor what they are written in; what may differ it
+//! asks its [`Way`]. No case is left out for one of them.
 
 mod answer;
 pub mod cases;

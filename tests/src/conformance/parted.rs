@@ -1,6 +1,7 @@
 //! Client and server in two processes of one machine, by how each end is executed.
 //!
-//! Invariant: whatever the threads of the two are, commands between them wait in a queue, and nothing else follows from it.
+//! Invariant: whatever the threads of the two are, commands between them wait in a queue, and nothing else
+//! follows from it.
 
 use trocar::model::{Execution, ExecutionModel};
 
@@ -48,7 +49,8 @@ macro_rules! parted {
 parted! {
     /// Each in a process of its own, asleep until something arrives.
     OtherProcess, "other process": model(ExecutionModel::OnSignal), model(ExecutionModel::OnSignal), true;
-    /// The client on a grid that looks at its queues in its cycles, the server on one that is woken in between.
+    /// The client on a grid that looks at its queues in its cycles, the server on one that is woken in
+    /// between.
     OtherProcessOnGrids, "other process, on grids": grid(FAST_NS), grid(SLOW_NS), true;
     /// The other way round.
     OtherProcessOnTurnedGrids, "other process, on grids, turned": grid(SLOW_NS), grid(FAST_NS), true;

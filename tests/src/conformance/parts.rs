@@ -136,7 +136,8 @@ impl Lab {
         self.spawned.get(process).map_or_else(std::process::id, HostProcess::pid)
     }
 
-    /// Puts a component into its process: servers into the other one, if there is one; what shares a thread to that thread.
+    /// Puts a component into its process: servers into the other one, if there is one; what shares a thread
+    /// to that thread.
     pub(super) fn place(&self, name: &str, class: &str, execution: Execution) -> Execution {
         // It stays where it is, so that a second one of its name is refused.
         let before = self.places().get(name).copied();

@@ -1,7 +1,7 @@
 //! Values as the class declares them.
 //!
-//! Invariant: what another process of the built program answers comes as JSON, which has one kind of number; read by its type it
-//! must be what a host in this program answers. Nothing else is changed.
+//! Invariant: what another process of the built program answers comes as JSON, which has one kind of number;
+//! read by its type it must be what a host in this program answers. Nothing else is changed.
 
 use serde_json::Value;
 use trocar::model::{Ports, Type, decode, encode};

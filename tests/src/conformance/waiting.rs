@@ -124,7 +124,8 @@ fn await_begun(lab: &Lab, what: While, caller: &Caller<'_>) {
     });
 }
 
-/// Calls a command of the slot `left` while the configuration that takes the slot away is under way; then puts it back.
+/// Calls a command of the slot `left` while the configuration that takes the slot away is under way; then
+/// puts it back.
 pub(super) fn through_configure(way: &Way, lab: &Lab, call: Call) -> Answer {
     let caller = Caller::slotted(way.reach(), lab);
     let answer = changing(lab, || {

@@ -1,6 +1,7 @@
 //! How two components are connected: where their threads come from.
 //!
-//! Invariant: a deployment says only where client and server run and what follows from it; the cases do the rest.
+//! Invariant: a deployment says only where client and server run and what follows from it; the cases do the
+//! rest.
 
 use std::cell::Cell;
 use std::panic;
@@ -19,11 +20,11 @@ pub enum Reach {
     Thread,
     /// Directly, in whatever thread calls: the server has none of its own.
     Caller,
-    /// Through a queue of memory that two processes share, of which both have the code of the server's class: reads are answered as
-    /// in one.
+    /// Through a queue of memory that two processes share, of which both have the code of the server's class:
+    /// reads are answered as in one.
     Process,
-    /// The same where only the server's process has that code: reads with an argument are asked for, and answered there beside the
-    /// component.
+    /// The same where only the server's process has that code: reads with an argument are asked for, and
+    /// answered there beside the component.
     Apart,
 }
 
@@ -119,8 +120,9 @@ impl Way {
         }
     }
 
-    /// Plays a case. A machine that gives a process no time for long makes its GCM, or the process it is linked
-    /// to, think it lost, as it should: that is another promise's business, and such a run is done again.
+    /// Plays a case. A machine that gives a process no time for long makes its GCM, or the process it is
+    /// linked to, think it lost, as it should: that is another promise's business, and such a run is done
+    /// again.
     ///
     /// # Panics
     /// As the case.

@@ -1,6 +1,7 @@
 //! `Lab`: a host inside the test's own process, with the suite's classes.
 //!
-//! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down, or the processes.
+//! Invariant: dropping it opens the gate, so that nothing it made hangs, and shuts the host down, or the
+//! processes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, OnceLock};
@@ -205,7 +206,7 @@ impl Lab {
         })
     }
 
-    // -- asking the GCM ------------------------------------------------------------------------------------------------
+    // Asking the GCM.
 
     /// # Errors
     /// What the GCM refuses.
@@ -314,7 +315,7 @@ impl Lab {
         self.done(Request::Remove { id: self.id(name), force: true });
     }
 
-    // -- calling --------------------------------------------------------------------------------------------------------
+    // Calling.
 
     /// Calls a command from outside.
     ///

@@ -34,8 +34,8 @@ const FRAMES_HZ: f64 = 60.0;
 const SIZES: [u64; 2] = [1_875_000, 2_360_000];
 /// What a frame may cost its producer, of what it costs without harm.
 const MORE: f64 = 1.1;
-/// And beyond that, µs: while nobody takes them all slots go round, so the one that is written has left the caches, and what was not
-/// taken is taken back. Two to four µs here, of a period of 16 667.
+/// And beyond that, µs: while nobody takes them all slots go round, so the one that is written has left the
+/// caches, and what was not taken is taken back. Two to four µs here, of a period of 16 667.
 const COLD_US: f64 = 5.0;
 /// Frames of which a 99th percentile says nothing.
 const FEW: usize = 400;
@@ -99,7 +99,8 @@ impl Stretches {
         Self::percentile_us(self.costs.iter(), hundredths)
     }
 
-    /// By how much this figure differs between every other stretch and those in between: what the machine alone makes of it, µs.
+    /// By how much this figure differs between every other stretch and those in between: what the machine
+    /// alone makes of it, µs.
     fn differs_by_us(&self, hundredths: usize) -> f64 {
         let half = |skip| Self::percentile_us(self.costs.iter().skip(skip).step_by(2), hundredths);
         (half(0) - half(1)).abs()
@@ -169,7 +170,8 @@ fn one_size(rig: &Rig, book: &mut Book, name: &str, rounds: u64) -> Result<(), S
         })?;
         flows(rig)?;
         exact(rig, book, &format!("{name}, a stopped taker"), before)?;
-        // Dead, and there again. Its taker begins anew and cannot miss what its former self would have: the connection must.
+        // Dead, and there again. Its taker begins anew and cannot miss what its former self would have: the
+        // connection must.
         let before = at_rest(rig)?;
         pause_ms(SETTLED);
         dead.add(rig, || {
@@ -253,7 +255,8 @@ fn flows(rig: &Rig) -> Result<(), String> {
     })
 }
 
-/// What the connection counted as dropped is what its taker misses, since some moment; there was some, or nothing is shown.
+/// What the connection counted as dropped is what its taker misses, since some moment; there was some, or
+/// nothing is shown.
 fn exact(rig: &Rig, book: &mut Book, name: &str, before: (u64, u64)) -> Result<(), String> {
     let mut gaps = 0;
     let same = eventually("they are the same", || {
@@ -306,7 +309,8 @@ fn floods(run: &Run, book: &mut Book) -> Result<(), String> {
     Ok(())
 }
 
-/// Ten thousand a second for takers that are busy half a second at a time, beside them and in another process.
+/// Ten thousand a second for takers that are busy half a second at a time, beside them and in another
+/// process.
 fn samples(rig: &Rig, book: &mut Book, ms: u64) -> Result<(), String> {
     for sink in ["b/drain", "a/tap"] {
         let client = format!("{sink}/value");

@@ -21,8 +21,8 @@ pub(crate) const ROWS: &[Row] = &[Row {
 /// What memory in use may grow by, KiB.
 const MOST_KIB: u64 = 1024;
 
-/// What the last may take beyond 1.2 × the first, ms: as much as parts that follow each other differ, and a little where those are
-/// alike by chance; never more than the other.
+/// What the last may take beyond 1.2 × the first, ms: as much as parts that follow each other differ, and a
+/// little where those are alike by chance; never more than the other.
 const LEAST_MS: f64 = 0.2;
 const MOST_MS: f64 = 1.0;
 
@@ -119,8 +119,8 @@ fn again(run: &Run, book: &mut Book) -> Result<(), String> {
     Ok(())
 }
 
-/// A client may look at what it was given last until it is given something else, so what was cut stays with it: here each is given
-/// something of its own process.
+/// A client may look at what it was given last until it is given something else, so what was cut stays with
+/// it: here each is given something of its own process.
 fn let_go(rig: &Rig) -> Result<(), String> {
     for (sink, client, server) in
         [("a/sink", "a/sink/value", "a/source/value"), ("a/screen", "a/screen/frame", "a/camera/frame")]
@@ -190,7 +190,8 @@ fn grows(
     };
     let part = if times >= 1_000 { tried / 10 } else { tried / 2 };
     let (first, last) = (typical(&took[..part]), typical(&took[tried - part..]));
-    // Two parts that follow each other differ by chance, at either end; a short run has only halves. What grows shows little there.
+    // Two parts that follow each other differ by chance, at either end; a short run has only halves. What
+    // grows shows little there.
     let of = if times >= 1_000 { part } else { part / 2 };
     let chance = |n: usize| (typical(&took[n..n + of]) - typical(&took[n + of..n + 2 * of])).abs();
     let allowed = (chance(0).max(chance(tried - 2 * of)) + LEAST_MS).min(MOST_MS);

@@ -1,4 +1,5 @@
-//! Rows about a machine that is wanted by others: processors, memory and disk are taken away while components keep their time.
+//! Rows about a machine that is wanted by others: processors, memory and disk are taken away while components
+//! keep their time.
 
 use std::fs::File;
 use std::hint::black_box;
@@ -23,7 +24,8 @@ use crate::world::World;
 pub(crate) const ROWS: &[Row] =
     &[Row { name: "45", fault: "hogs of processors, memory and disk", when: When::Times, run: hogs }];
 
-/// What the host's steps may be late beyond 1.5 times a bare thread, µs: what a step does before it looks at its clock.
+/// What the host's steps may be late beyond 1.5 times a bare thread, µs: what a step does before it looks at
+/// its clock.
 const BEYOND_US: f64 = 50.0;
 /// Of memory that is free, a hog takes a quarter, at most so much, MiB.
 const MOST_MIB: u64 = 512;
@@ -137,8 +139,9 @@ fn hogs(run: &Run, book: &mut Book) -> Result<(), String> {
         ..Execution::default()
     };
     start_late(&rpc, "a/late", json!({}), periodic)?;
-    // Its thread is its own; the host only starts and stops it. One on each processor, since what is taken away of one (by the
-    // machine below this one, too) is not taken of the other, and a step may be on either.
+    // Its thread is its own; the host only starts and stops it. One on each processor, since what is taken
+    // away of one (by the machine below this one, too) is not taken of the other, and a step may be on
+    // either.
     let passive = Execution { rate_hz: Some(1.0), ..Execution::default() };
     let processors = thread::available_parallelism().map_or(1, usize::from);
     let bare: Vec<String> = (0..processors).map(|cpu| format!("a/bare-{cpu}")).collect();

@@ -28,7 +28,8 @@ pub(crate) const ROWS: &[Row] = &[
 const LOAD: Load = Load { rate_hz: 1000, frames_hz: 60, holds_ms: 0, fast_hz: 4000, bystanders: false };
 /// How often each sink is given something, Hz.
 const SINKS: [(&str, f64); 3] = [("sink", 1000.0), ("fast_sink", 4000.0), ("screen", 60.0)];
-/// Beyond the control run a sample may be so late, ms: the witness wakes once a millisecond and overlooks as much of any stall.
+/// Beyond the control run a sample may be so late, ms: the witness wakes once a millisecond and overlooks as
+/// much of any stall.
 const BEYOND_MS: f64 = 1.0;
 
 /// What flowed in a while.
@@ -196,7 +197,8 @@ fn away(
                 (missed, wrong, taken) = (missed + flow.missed, wrong + flow.wrong, taken + flow.taken);
                 answered = ends.calls(&calls)?.answered.into_iter().fold(answered, u64::min);
                 for (sink, _) in SINKS {
-                    // What the machine itself was late in these very seconds, or all of it in the control run.
+                    // What the machine itself was late in these very seconds, or all of it in the control
+                    // run.
                     let late_ms = control.late_ms[sink].max(witness.late_since(Since::Moment));
                     late.entry(sink).or_default().push(Timed { ms: flow.late_ms[sink], late_ms });
                 }
@@ -241,8 +243,8 @@ fn away(
     Ok(())
 }
 
-/// A host waits for a GCM that is not there yet; later the GCM is away, and it can be stopped all the same, which the next
-/// GCM learns.
+/// A host waits for a GCM that is not there yet; later the GCM is away, and it can be stopped all the same,
+/// which the next GCM learns.
 fn late(run: &Run, book: &mut Book) -> Result<(), String> {
     let world = World::new(&["fixture_torture"])?;
     // A port that is free now and will most likely be a moment later.

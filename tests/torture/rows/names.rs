@@ -1,5 +1,5 @@
-//! Rows about one name and several processes: a second one of it, one that was replaced while it stood still, one that is killed
-//! while it starts.
+//! Rows about one name and several processes: a second one of it, one that was replaced while it stood still,
+//! one that is killed while it starts.
 //!
 //! Invariant: which process a sample comes from is told by the sample, not by who is listed.
 

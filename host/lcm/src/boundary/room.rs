@@ -37,7 +37,8 @@ pub(super) unsafe fn is_lent<T: Room>(lent: *const T) -> bool {
     !lent.is_null() && unsafe { lent.cast::<u32>().read() } as usize >= T::FIRST
 }
 
-/// Writes what the caller has room for. Its `struct_size` says afterwards how much of the struct both sides know.
+/// Writes what the caller has room for. Its `struct_size` says afterwards how much of the struct both sides
+/// know.
 ///
 /// # Safety
 /// [`is_lent`] is true of `lent`, and the caller lends it for writing.

@@ -1,6 +1,8 @@
-//! The carrier `heap`: queues, mailboxes and reply cells in the memory of this process, woken through a futex.
+//! The carrier `heap`: queues, mailboxes and reply cells in the memory of this process, woken through a
+//! futex.
 //!
-//! Invariant: every wire can be cut at any moment: callers inside finish on the old binding, later ones see UNBOUND.
+//! Invariant: every wire can be cut at any moment: callers inside finish on the old binding, later ones see
+//! UNBOUND.
 
 use std::sync::Arc;
 
@@ -45,7 +47,7 @@ pub(super) struct OnHeap {
     connection: u64,
     client: Arc<Instance>,
     server: Arc<Instance>,
-    /// It was asked for by this name.
+    /// True when the connection asked for this carrier by name.
     pinned: bool,
     ends: Ends,
 }
@@ -154,7 +156,7 @@ impl Joined for OnHeap {
             Ends::Interface { commands_in, events_in, .. } => {
                 let (c, e) = (commands_in.mailbox.stats(), events_in.mailbox.stats());
                 detail.passed = c.pushed + e.pushed;
-                // Goals of which a newer one came before they were looked at.
+                // Goals replaced by a newer one before they were looked at.
                 detail.skipped = c.superseded;
                 detail.dropped = c.dropped.saturating_sub(c.superseded) + c.rejected + e.dropped + e.rejected;
                 detail.rejected = c.rejected + e.rejected;

@@ -1,7 +1,8 @@
-//! The carrier `inline`: what one end does runs on in the other one, in the same thread.
+//! The carrier `inline`: calls of one end run on in the other one, in the same thread.
 //!
-//! Invariant: it has the parts of a connection on the heap, which stay empty as long as everything can run at once: another thread
-//! may use the client's functions, and an instance that is entered already is not entered again.
+//! Invariant: it has the parts of a connection on the heap, which stay empty as long as everything can run at
+//! once: another thread may use the client's functions, and an instance that is entered already is not
+//! entered again.
 
 use trocar_model::Refusal;
 

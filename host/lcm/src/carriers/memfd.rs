@@ -1,7 +1,7 @@
 //! The carrier `memfd`: memory that both ends map, the only one so far that leaves a process.
 //!
-//! Invariant: between two processes and, where it is pinned, inside one it is the same memory, laid out and used by the same code
-//! (`lcm/far`); inside one both ends are joined at once, without a session.
+//! Invariant: between two processes and, where it is pinned, inside one the memory is the same, laid out and
+//! used by the same code (`lcm/far`); inside one process both ends are joined at once, without a session.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
-//! How the data of a connection travel: one trait, and one file for each way.
+//! Carriers of a connection's data: one trait, and one file for each carrier.
 //!
-//! Invariant: a carrier is asked when connections are made, cut, shown and looked after, never for a sample or a call: those find
-//! cells that are bound already.
+//! Invariant: a carrier is asked when connections are made, cut, shown and looked after, never for a sample
+//! or a call: those find cells that are bound already.
 
 mod heap;
 mod inline;
@@ -22,7 +22,7 @@ use super::instance::{Instance, Loss};
 use inline::Inline;
 use memfd::Memfd;
 
-/// A connection of which both ends are here.
+/// A connection with both ends in this process.
 pub(super) struct Both<'c> {
     pub(super) connection: &'c Connection,
     pub(super) client: &'c Here,
@@ -34,7 +34,7 @@ pub(super) struct Both<'c> {
 }
 
 impl Both<'_> {
-    /// Why nothing but a direct call reaches the server's commands; `None` where that is not so.
+    /// Reason why only a direct call reaches the server's commands; `None` where that is not so.
     fn is_called_directly(&self) -> Option<String> {
         let (client, server) = (&self.client.instance, &self.server.instance);
         match self.link {
@@ -47,28 +47,28 @@ impl Both<'_> {
     }
 }
 
-/// What the one calls in the other runs in the caller's thread.
+/// Tells whether calls from one to the other run in the caller's thread.
 fn are_together(client: &Instance, server: &Instance) -> bool {
     client.executor_id() == server.executor_id() || server.is_passive()
 }
 
-/// A connection of which one end is here, and what is known of the other one.
+/// A connection with one end in this process, and the facts known of the other end.
 pub(super) struct OneEnd {
     pub(super) connection: Connection,
     pub(super) role: Role,
     pub(super) here: Here,
-    /// The client cannot do without it.
+    /// True when the client cannot do without it.
     pub(super) required: bool,
     /// Ports of the component at the other end, and its process.
     pub(super) theirs: Arc<Ports>,
     pub(super) card: Card,
-    /// Of a client: whether the code of the server's class is here.
+    /// For a client: whether the code of the server's class is here.
     pub(super) kin: Kin,
 }
 
-/// A way for data to travel.
+/// One way for data to travel.
 pub(super) trait Carrier: Send + Sync {
-    /// As it is pinned and shown.
+    /// Name by which connections are pinned to it and shown.
     fn name(&self) -> &'static str;
 
     /// # Errors
@@ -78,29 +78,30 @@ pub(super) trait Carrier: Send + Sync {
     /// Connects two ends of this process: streams, calls, events and reads.
     ///
     /// # Errors
-    /// What does not fit, or what the machine does not give.
+    /// The ends do not fit, or the machine lacks a resource.
     fn join(&self, both: &Both<'_>) -> Result<Box<dyn Joined>, Refusal>;
 
-    /// Its connections to other processes; `None` where it does not leave this one.
+    /// Its connections to other processes; `None` for a carrier that stays within this one.
     fn halves(&self) -> Option<&dyn Halves> {
         None
     }
 
-    /// Looks after what it has joined, off the step path; true: again soon.
+    /// Looks after its connections, off the step path; true: call again soon.
     fn tend(&self) -> bool {
         false
     }
 
-    /// Cuts what leaves this process, and ends its threads.
+    /// Cuts its connections to other processes, and ends its threads.
     fn stop(&self) {}
 }
 
 /// Two ends of this process as a carrier has joined them.
 pub(super) trait Joined: Send + Sync {
-    /// Cuts them; whoever waits is answered.
+    /// Cuts the connection; waiting callers are answered.
     fn cut(&self);
 
-    /// Whether it would be joined just as it is by this binding of these ports, the client's and the server's.
+    /// Tells whether this binding of these ports, the client's and the server's, would join it in just the
+    /// same way.
     fn still_fits(&self, binding: &Binding, ports: (&PortSet, &PortSet)) -> bool;
 
     fn is_stream(&self) -> bool;
@@ -109,35 +110,37 @@ pub(super) trait Joined: Send + Sync {
     fn detail(&self) -> LinkDetail;
 }
 
-/// The connections of one carrier that leave this process.
+/// Connections of one carrier to other processes.
 pub(super) trait Halves: Send + Sync {
-    /// What other processes need to know to reach this one.
+    /// Data by which other processes reach this one.
     fn card(&self) -> &Card;
 
     /// # Errors
     /// The sentence why the process of this card cannot be reached.
     fn reaches(&self, card: &Card) -> Result<(), String>;
 
-    /// From now on this end is linked with the other one whenever it can be; `tell` hears of the first time.
+    /// Links this end with the other one from now on whenever possible; `tell` is called at the first time.
     ///
     /// # Errors
     /// The ends do not go together.
     fn add(&self, end: OneEnd, tell: Option<Tell>) -> Result<(), Refusal>;
 
-    /// The half of a connection goes; `tell` hears when its wires are cut. The component that is here; `None` when it has none.
+    /// Removes the half of a connection; `tell` is sent when its wires are cut. Returns the component that is
+    /// here; `None` when there is none.
     fn remove(&self, connection: u64, how: Loss, tell: oneshot::Sender<()>) -> Option<Arc<Instance>>;
 
-    /// Why the half of this connection is not linked, as far as anybody knows.
+    /// Reason why the half of this connection is not linked, as far as known.
     fn why_not(&self, connection: u64) -> String;
 
-    /// Lets the connections go whose ports at this component, of those that were lost, are not what they were; which those are.
+    /// Removes the connections at those `lost` ports of this component that have changed; returns their
+    /// numbers.
     fn cut_misfits(&self, component: &ComponentId, lost: &[String]) -> Vec<u64>;
 
     fn connections(&self) -> Vec<u64>;
 
     fn details(&self) -> Vec<LinkDetail>;
 
-    /// How each half stands.
+    /// State of each half.
     fn reports(&self) -> Vec<HalfReport>;
 }
 
@@ -149,8 +152,8 @@ pub(super) struct Carriers {
 }
 
 impl Carriers {
-    /// `socket`: where this process listens for others, if it does; `news` hears how each half stands; `bell` is rung when a carrier
-    /// has to be tended.
+    /// Starts the carriers. `socket`: where this process listens for others, if it does; `news` gets the
+    /// state of each half; `bell` is rung when a carrier needs to be tended.
     ///
     /// # Errors
     /// The socket cannot be made there, or the machine gives no more threads.
@@ -164,7 +167,7 @@ impl Carriers {
         Ok(Arc::new(Carriers { inline: Inline, heap: heap::Heap, memfd }))
     }
 
-    /// The best one first.
+    /// The best carrier first.
     fn all(&self) -> [&dyn Carrier; 3] {
         [&self.inline, &self.heap, &self.memfd]
     }
@@ -187,15 +190,16 @@ impl Carriers {
         Err(Refusal::ArgumentInvalid { what, why, field: "options.carrier".to_owned() })
     }
 
-    /// Those that leave this process.
+    /// Halves of the carriers that leave this process.
     pub(super) fn halves(&self) -> impl Iterator<Item = &dyn Halves> {
         self.all().into_iter().filter_map(|carrier| carrier.halves())
     }
 
-    /// The one that reaches the process of this card, and that the connection is pinned to if it is pinned.
+    /// Finds the carrier that reaches the process of this card; it must be the pinned one if the connection
+    /// is pinned.
     ///
     /// # Errors
-    /// The sentence why none does.
+    /// The sentence why no carrier does.
     pub(super) fn reaching(&self, connection: &Connection, card: &Card) -> Result<&dyn Halves, String> {
         let pinned = connection.options.carrier.as_str();
         let mut reasons = Vec::new();
@@ -212,7 +216,7 @@ impl Carriers {
         }
     }
 
-    /// Looks after what was joined; true: again soon. Managers only.
+    /// Looks after the connections of all carriers; true: call again soon. Managers only.
     pub(super) fn tend(&self) -> bool {
         self.all().map(|carrier| carrier.tend()).contains(&true)
     }

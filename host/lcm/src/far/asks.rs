@@ -1,4 +1,5 @@
-//! Reads that have to be asked for: those with an argument, answered by the server's process while the caller waits.
+//! Reads that have to be asked for: those with an argument, answered by the server's process while the caller
+//! waits.
 //!
 //! Invariant: each question is answered, or given up at its deadline or with the link.
 
@@ -14,7 +15,7 @@ use trocar_rt::os;
 
 use super::words::Words;
 
-/// What a server's process answers.
+/// Answer of a server's process to a read.
 pub(crate) struct ReadAnswer {
     pub(crate) outcome: i32,
     pub(crate) stamp_ns: u64,
@@ -22,12 +23,12 @@ pub(crate) struct ReadAnswer {
     pub(crate) text: String,
 }
 
-/// Somebody who can be asked for the result of a read.
+/// A peer that can be asked for the result of a read.
 pub(crate) trait Asking: Send + Sync {
     /// Asks for the read at this place among the connection's functions and waits.
     ///
     /// # Errors
-    /// DEADLINE, or PEER_LOST when nobody will answer any more.
+    /// DEADLINE, or PEER_LOST when no answer can come any more.
     fn ask(&self, index: u32, arg: &[u8], within_ns: u64) -> Result<ReadAnswer, Outcome>;
 }
 
@@ -37,7 +38,7 @@ pub(super) struct Asks {
     connection: u64,
     epoch: u64,
     next: AtomicU64,
-    /// Those nobody has answered yet; `None` when nobody will.
+    /// Unanswered questions; `None` when no answer can come any more.
     open: Mutex<Option<BTreeMap<u64, SyncSender<ReadAnswer>>>>,
 }
 
@@ -52,7 +53,7 @@ impl Asks {
         })
     }
 
-    /// Of a link that asks nobody.
+    /// Asks of a link that has no peer to ask.
     pub(super) fn of_nobody(connection: u64, epoch: u64) -> Arc<Asks> {
         let (next, open) = (AtomicU64::new(1), Mutex::new(None));
         Arc::new(Asks { session: Weak::new(), connection, epoch, next, open })
@@ -62,15 +63,15 @@ impl Asks {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The answer to a question came.
+    /// Delivers the answer to a question.
     pub(super) fn answer(&self, number: u64, answer: ReadAnswer) {
         if let Some(tell) = self.open().as_mut().and_then(|open| open.remove(&number)) {
-            // Nobody waits any more.
+            // Fails when the caller waits no more.
             let _ = tell.try_send(answer);
         }
     }
 
-    /// Nobody will answer any more.
+    /// Ends all questions: no answer can come any more.
     pub(super) fn end(&self) {
         *self.open() = None;
     }

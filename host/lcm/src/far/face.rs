@@ -1,8 +1,8 @@
-//! What a server shows to clients in other processes: how it stands, its rows for those that have its class, and the results of its
-//! reads for those that have not.
+//! Data of a server shown to clients in other processes: its state, its rows for clients that have its class,
+//! and the results of its reads for the others.
 //!
-//! Invariant: rows and results are written by whoever publishes a row of the state table, and that one never waits; how it stands by
-//! whoever publishes that; its figures by the watchdog.
+//! Invariant: rows and results are written by the thread that publishes a row of the state table, and that
+//! thread never waits; the state is written by the thread that publishes it; the statistics by the watchdog.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -24,13 +24,13 @@ use super::terms::of_rows;
 /// Time between two publications of period statistics, ns: they are sums over many cycles.
 const STATISTICS_NS: u64 = 10_000_000;
 
-/// How a server stands, in one word.
+/// State of a server, in one word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub(crate) enum Standing {
     NotActive = 0,
     Active = 1,
-    /// It is removed, or about to be.
+    /// The server is removed, or about to be.
     Gone = 2,
 }
 
@@ -44,7 +44,7 @@ impl Standing {
     }
 }
 
-/// Something that is written anew by whoever comes; who finds somebody at it has that one write once more.
+/// A value that any thread writes anew; a thread that finds another one at it makes that one write once more.
 struct Kept<T> {
     value: TryCell<T>,
     missed: AtomicBool,
@@ -55,17 +55,18 @@ impl<T> Kept<T> {
         Kept { value: TryCell::new(value), missed: AtomicBool::new(false) }
     }
 
-    /// When this returns, `f` or that of somebody else has begun to write after it was called. Never waits.
+    /// Returns after `f`, or that of another thread, has begun to write; that write began after this call.
+    /// Never waits.
     fn write(&self, mut f: impl FnMut(&mut T)) {
         if !self.attempt(&mut f) {
-            // Either this one finds the place free now, or whoever leaves it finds the mark.
+            // Either this thread finds the place free now, or the thread that leaves it finds the mark.
             self.missed.swap(true, Ordering::AcqRel);
             self.attempt(&mut f);
         }
     }
 
     fn attempt(&self, f: &mut impl FnMut(&mut T)) -> bool {
-        // Once more for each who came meanwhile.
+        // Writes once more for each thread that came meanwhile.
         loop {
             let Some(mut value) = self.value.try_enter() else { return false };
             f(&mut value);
@@ -77,7 +78,8 @@ impl<T> Kept<T> {
     }
 }
 
-/// The rows of a server, for all clients that work its reads out themselves: one copy more per row, however many there are.
+/// The rows of a server, for all clients that compute its reads themselves: one more copy per row, however
+/// many clients there are.
 pub(crate) struct ShownRows {
     rows: Kept<Rows<StateWriter>>,
     region: Arc<Region>,
@@ -85,7 +87,7 @@ pub(crate) struct ShownRows {
 
 impl ShownRows {
     /// # Errors
-    /// The machine has not that much memory, or no file to spare.
+    /// The machine lacks that much memory, or a file descriptor.
     pub(crate) fn create(server: &Instance) -> io::Result<Arc<ShownRows>> {
         let (bytes, agreed) = of_rows(&server.info);
         let rows = Rows::create(bytes, agreed)?;
@@ -98,7 +100,7 @@ impl ShownRows {
         fd.try_clone_to_owned()
     }
 
-    /// The newest row, if there is one. Real-time.
+    /// Shows the newest row, if there is one. Real-time.
     pub(crate) fn show(&self, server: &Instance) {
         self.rows.write(|rows| {
             rows.end.publish_with(|row| server.rows.latest(row).map(|info| (info.stamp_ns, info.tick)));
@@ -111,16 +113,16 @@ pub(super) struct Shown {
     pub(super) from: Reader,
     pub(super) bytes: usize,
     pub(super) table: StateWriter,
-    /// Sentences of those that failed.
+    /// Sentences of failed reads.
     pub(super) whys: StateWriter,
-    /// It panicked last time.
+    /// True when the read panicked last time.
     panicked: bool,
 }
 
 /// One client's view of a server.
 pub(crate) struct Face {
     standing: Word,
-    /// Where the reads stand that the client works out itself.
+    /// Positions of the reads that the client computes itself.
     own: Vec<(Arc<Position>, Word)>,
     pub(crate) rows: Option<Arc<ShownRows>>,
     /// Published with rows of the state table.
@@ -132,7 +134,7 @@ pub(crate) struct Face {
 
 struct Figures {
     shown: Vec<Shown>,
-    /// When they were published last, ns.
+    /// Time of the last publication, ns.
     at_ns: u64,
 }
 
@@ -141,7 +143,7 @@ fn unless_empty<T>(all: Vec<Shown>, make: impl FnOnce(Vec<Shown>) -> T) -> Optio
 }
 
 impl Face {
-    /// `own`: the reads that the client works out itself from `rows`.
+    /// `own`: the reads that the client computes itself from `rows`.
     pub(super) fn new(
         standing: Word,
         shown: Vec<Shown>,
@@ -163,13 +165,13 @@ impl Face {
         Arc::new(face)
     }
 
-    /// Where the reads stand now that the client works out itself.
+    /// Shows the present positions of the reads that the client computes itself.
     pub(crate) fn show_positions(&self) {
         for (position, word) in &self.own {
             loop {
                 let now = position.get();
                 word.set(now.map_or(0, |id| u64::from(id) + 1));
-                // Whoever moves it comes here afterwards.
+                // A thread that moves a position comes here afterwards.
                 if position.get() == now {
                     break;
                 }
@@ -177,7 +179,8 @@ impl Face {
         }
     }
 
-    /// How the server stands now. Whoever changes that comes here afterwards, so the last one to come shows the last change.
+    /// Shows the present state of the server. A thread that changes it comes here afterwards, so the last one
+    /// to come shows the last change.
     pub(crate) fn show_standing(&self, server: &Instance) {
         loop {
             let now = server.standing();
@@ -190,14 +193,15 @@ impl Face {
         shown.iter_mut().for_each(|read| read.publish(server));
     }
 
-    /// The results of its reads now. Real-time.
+    /// Shows the present results of the reads. Real-time.
     pub(crate) fn show_row(&self, server: &Instance) {
         if let Some(results) = &self.results {
             results.write(|shown| shown.iter_mut().for_each(|read| read.publish(server)));
         }
     }
 
-    /// Its figures now, unless that was a moment ago. Never on a thread that steps: they are sums over many cycles.
+    /// Shows the present statistics, unless they were shown a moment ago. Never on a thread that steps: they
+    /// are sums over many cycles.
     pub(crate) fn show_figures(&self, server: &Instance) {
         let Some(figures) = &self.figures else { return };
         figures.write(|figures| {
@@ -223,14 +227,15 @@ impl Shown {
             let read = read_published(server, from, &[], &mut row[..bytes], &mut text, again);
             *panicked = read.panicked;
             if read.text_bytes > 0 {
-                // Before the outcome, so that who sees the one finds the other.
+                // The sentence comes before the outcome, so that a reader that sees the outcome finds the
+                // sentence.
                 whys.publish_with(|why| {
                     let said = read.text_bytes.min(why.len());
                     why[..said].copy_from_slice(&text[..said]);
                     Some((read.stamp_ns, said as u64))
                 });
             }
-            // What a step of the reader looks at is the outcome.
+            // The outcome is the part that a step of the reader looks at.
             Some((read.stamp_ns, read.outcome as u64))
         });
     }
@@ -244,7 +249,7 @@ mod tests {
 
     use super::*;
 
-    /// Whoever publishes last is seen last, whoever was writing meanwhile.
+    /// The last value published is the last one shown, whichever thread was writing meanwhile.
     #[test]
     fn what_was_published_before_a_write_is_seen_after_it() {
         let (kept, published, shown) = (Kept::new(()), AtomicU64::new(0), AtomicU64::new(0));

@@ -1,6 +1,7 @@
 //! One end of a connection between two processes, as long as the GCM wants the connection.
 //!
-//! Invariant: it is linked to one session at a time, under one epoch; what comes of another one is not for it.
+//! Invariant: a half is linked to one session at a time, under one epoch; messages of any other are not for
+//! it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -18,32 +19,32 @@ use super::missed::Missed;
 use super::terms::{Terms, Way};
 use super::wires::{ClientWires, Here, ServerWires};
 
-/// So long a server's process may take to answer before it is asked again.
+/// Time a server's process may take to answer before it is asked again.
 const ANSWER: Duration = Duration::from_secs(1);
-/// How the data of such connections travel.
+/// Carrier of such connections.
 pub(crate) const CARRIER: &str = "memfd";
 
-/// Which end of the connection is here.
+/// The end of the connection that is here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     Client,
     Server,
 }
 
-/// Hears once what came of the first try to link; the reason when nothing did.
+/// Is told once the result of the first try to link; on failure the reason.
 pub(crate) type Tell = oneshot::Sender<Result<(), String>>;
 
 pub(crate) struct Half {
     pub(super) connection: Connection,
     pub(super) role: Role,
     pub(crate) here: Here,
-    /// The client cannot do without it.
+    /// True when the client cannot do without it.
     pub(super) required: bool,
     /// Ports of the component at the other end.
     pub(super) theirs: Arc<Ports>,
     /// The process of the other end.
     pub(super) card: Card,
-    /// Of a client: whether the code of the server's class is here.
+    /// For a client: whether the code of the server's class is here.
     pub(super) kin: Kin,
     stage: Mutex<Stage>,
 }
@@ -51,15 +52,15 @@ pub(crate) struct Half {
 #[derive(Default)]
 pub(super) struct Stage {
     pub(super) linked: Option<Linked>,
-    /// Why not; empty at first.
+    /// Reason why it is not linked; empty at first.
     pub(super) why: String,
     /// Waits for the first link.
     pub(super) tell: Option<Tell>,
     /// The session over which the server's process was asked last, and when.
     asked: Option<(u64, Instant)>,
-    /// What passed and was lost on earlier links of this connection.
+    /// Figures of earlier links of this connection.
     before: LinkDetail,
-    /// Of an output, what it wrote while it was not linked.
+    /// For an output: its writes while it was not linked.
     missed: Missed,
 }
 
@@ -102,13 +103,14 @@ impl Half {
         }
     }
 
-    /// Whether that session is with the run of the process this half was made with.
+    /// Tells whether that session is with the run of the process this half was made for.
     pub(super) fn is_with(&self, session: &Session) -> bool {
         let peer = session.peer();
         peer.process == self.other() && peer.instance == self.card.instance
     }
 
-    /// Whether the server's process is to be asked over this session: each is asked once, unless it never answers.
+    /// Tells whether the server's process is to be asked over this session: each is asked once, unless it
+    /// never answers.
     pub(super) fn may_ask(&self, session: &Session) -> bool {
         let stage = self.stage();
         let waits = |(number, since): (u64, Instant)| number == session.number() && since.elapsed() < ANSWER;
@@ -119,7 +121,7 @@ impl Half {
         self.stage().asked = over.map(|session| (session.number(), Instant::now()));
     }
 
-    /// Takes over what another half of the same connection has counted.
+    /// Takes over the counts of another half of the same connection.
     pub(super) fn go_on_from(&self, other: &Half) {
         let (before, missed) = {
             let other = other.stage();
@@ -141,7 +143,7 @@ impl Half {
         (Arc::ptr_eq(&linked.session, session) && linked.epoch == epoch).then(|| f(&linked.wires))
     }
 
-    /// So many commands of this link that the client only sent failed, and so many never ran: it is told.
+    /// Warns the client that so many commands of this link that it only sent failed, and so many never ran.
     pub(super) fn pay(&self, failed: u64, unexecuted: u64) {
         let other = &self.other_port().component;
         let tell = |what: &str, how: &str, count: u64| {
@@ -162,10 +164,11 @@ impl Half {
         self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Its terms by the ports that are here now, and those ports. `own`: the client works reads out itself.
+    /// Returns the terms by the ports that are here now, and those ports. `own`: the client computes reads
+    /// itself.
     ///
     /// # Errors
-    /// They do not go together any more.
+    /// The ends do not fit together any more.
     pub(crate) fn terms(&self, own: bool) -> Result<(Arc<PortSet>, Terms), Refusal> {
         let set = self.here.instance.described.now();
         let (client, server) = match self.role {
@@ -180,7 +183,8 @@ impl Half {
         Ok((set, terms))
     }
 
-    /// Whether it can stay as it is after the ports here became others, by the rule for connections inside the process.
+    /// Tells whether it can stay as it is after the ports here changed, by the rule for connections inside
+    /// the process.
     pub(super) fn still_fits(&self) -> bool {
         let Ok((set, terms)) = self.terms(false) else { return false };
         match (&self.stage().linked, &terms.way) {
@@ -201,7 +205,7 @@ impl Half {
         }
     }
 
-    /// It is linked.
+    /// Notes that the half is linked.
     pub(super) fn link(&self, session: &Arc<Session>, epoch: u64, wires: Wires) {
         let mut stage = self.stage();
         stage.linked = Some(Linked { session: session.clone(), epoch, wires });
@@ -212,12 +216,12 @@ impl Half {
             self.here.instance.connected(self.connection.client.port.as_str());
         }
         if let Some(tell) = tell {
-            // Whoever asked has given up.
+            // Fails when the caller has given up.
             let _ = tell.send(Ok(()));
         }
     }
 
-    /// It cannot be linked as things are; tells whoever waits, where waiting longer is of no use.
+    /// Notes why the half cannot be linked now; tells the waiting caller, if longer waiting is of no use.
     pub(super) fn fail(&self, why: String, for_good: bool) {
         let mut stage = self.stage();
         if for_good && let Some(tell) = stage.tell.take() {
@@ -226,7 +230,7 @@ impl Half {
         stage.why = why;
     }
 
-    /// Takes the wires away, if it is linked (over this session, where one is named).
+    /// Removes the wires, if it is linked (over this session, where one is named).
     pub(super) fn unlink(&self, of: Option<&Arc<Session>>, why: &str, how: Loss) -> Option<Linked> {
         let mut stage = self.stage();
         let is_it = |linked: &mut Linked| of.is_none_or(|session| Arc::ptr_eq(session, &linked.session));
@@ -252,7 +256,8 @@ impl Half {
         Some(linked)
     }
 
-    /// The other process is gone: whoever waits for it is answered now, inputs have no source; the rest follows. Any thread.
+    /// Handles the loss of the other process: waiting callers are answered now, inputs have no source; the
+    /// rest follows. Any thread.
     pub(super) fn lose(&self, session: &Arc<Session>) {
         if let Some(Linked { session: mine, wires: Wires::Client(wires), .. }) = &self.stage().linked
             && Arc::ptr_eq(mine, session)
@@ -261,14 +266,15 @@ impl Half {
         }
     }
 
-    /// Nothing is different since that was told.
+    /// Tells whether nothing has changed since that report.
     pub(super) fn stands_as(&self, told: &HalfReport) -> bool {
         let stage = self.stage();
         let epoch = stage.linked.as_ref().map_or(0, |linked| linked.epoch);
         told.proxy.as_ref().is_some_and(|p| p.epoch == epoch && (epoch > 0 || p.why == stage.why))
     }
 
-    /// How it stands; `unsaid` says why it is not linked where nobody else did.
+    /// Reports the state of the half; `unsaid` gives the reason why it is not linked, where no other is
+    /// known.
     pub(super) fn report(&self, unsaid: impl FnOnce() -> String) -> HalfReport {
         let stage = self.stage();
         let (end, port) = match self.role {

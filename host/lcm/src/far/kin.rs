@@ -1,7 +1,7 @@
-//! Whether the code of a server's class is in the process of its client, too.
+//! Checks whether the code of a server's class is in the process of its client, too.
 //!
-//! Invariant: nothing is loaded for it. A process that was set apart keeps the code out that it was set apart from, and who has it
-//! already trusts it with its own components.
+//! Invariant: nothing is loaded for it. An isolated process keeps out the code from which it was isolated; a
+//! process that has the code already trusts it with its own components.
 
 use std::os::unix::fs::MetadataExt;
 
@@ -12,7 +12,8 @@ use super::super::boundary::OwnClass;
 /// Looks for the class of a connection's server in this process.
 pub(crate) type Kin = Box<dyn Fn() -> Option<OwnClass> + Send + Sync>;
 
-/// Which code a class is: the same text in two processes means the same code. `None` where that cannot be told.
+/// Identifies the code of a class: the same text in two processes means the same code. `None` if it is
+/// unknown.
 pub(super) fn code_of(class: &ClassInfo) -> Option<String> {
     let name = class.full_name();
     if !class.hash.is_empty() {

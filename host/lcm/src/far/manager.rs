@@ -1,7 +1,7 @@
-//! All halves of this process, and who is told of what happens to them.
+//! All halves of this process, and the receivers of their news.
 //!
-//! Invariant: a half is in the list from the moment it is added until it is removed; only the thread `trocar-far` (`worker.rs`) links
-//! and unlinks. The thread of the sessions never waits for it.
+//! Invariant: a half is in the list from the moment it is added until it is removed; only the thread
+//! `trocar-far` (`worker.rs`) links and unlinks. The thread of the sessions never waits for it.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -34,14 +34,15 @@ pub(super) enum Todo {
     Met(Arc<Session>),
     Said(Arc<Session>, Message),
     Lost(Arc<Session>, String),
-    /// It is in the list, and this one was there in its place.
+    /// The half is in the list, and replaced this other one there.
     Added(Arc<Half>, Option<Arc<Half>>),
-    /// It is not in the list any more.
+    /// The half is not in the list any more.
     Removed(Arc<Half>, Loss, oneshot::Sender<()>),
     Stop,
 }
 
-/// What `trocar-far` has to do. Its bell is also rung by outputs that give frames of a pool nobody was told of.
+/// Tasks of `trocar-far`. Its bell is also rung by outputs that give frames of a pool the reader does not
+/// know.
 #[derive(Default)]
 pub(super) struct Todos {
     queue: Mutex<VecDeque<Todo>>,
@@ -71,7 +72,7 @@ pub(crate) struct Far {
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// On the thread of the sessions.
+/// Handler on the thread of the sessions.
 struct Teller {
     halves: Halves,
     todos: Arc<Todos>,
@@ -93,7 +94,7 @@ impl Handler for Teller {
 }
 
 impl Far {
-    /// Listens for other processes at `socket`; `news` hears how each half stands.
+    /// Listens for other processes at `socket`; `news` gets the state of each half.
     ///
     /// # Errors
     /// The socket cannot be made there, or the machine gives no more threads.
@@ -112,25 +113,26 @@ impl Far {
         Ok(Far { links, halves, todos, thread: Mutex::new(Some(thread)) })
     }
 
-    /// What other processes need to know to reach this one.
+    /// Data by which other processes reach this one.
     pub(crate) fn card(&self) -> &Card {
         self.links.card()
     }
 
-    /// From now on this half is linked whenever it can be; in place of another one of the same connection.
+    /// Links this half from now on whenever possible; it replaces another one of the same connection.
     pub(crate) fn add(&self, half: Arc<Half>) {
         let before = locked(&self.halves).insert(half.number(), half.clone());
         self.todos.push(Todo::Added(half, before));
     }
 
-    /// The half of a connection goes, which is answered; told when its wires are cut.
+    /// Removes the half of a connection and returns it; `tell` is sent when its wires are cut.
     pub(crate) fn remove(&self, connection: u64, how: Loss, tell: oneshot::Sender<()>) -> Option<Arc<Half>> {
         let half = locked(&self.halves).remove(&connection)?;
         self.todos.push(Todo::Removed(half.clone(), how, tell));
         Some(half)
     }
 
-    /// Lets the connections go whose ports at this component, of those that were lost, are not what they were; which those are.
+    /// Removes the connections at those `lost` ports of this component that have changed; returns their
+    /// numbers.
     pub(crate) fn cut_misfits(&self, component: &ComponentId, lost: &[String]) -> Vec<u64> {
         let of = |half: &&Arc<Half>| {
             let port = half.port();
@@ -153,7 +155,7 @@ impl Far {
         all(&self.halves)
     }
 
-    /// Why it is not linked, as far as anybody knows.
+    /// Reason why it is not linked, as far as known.
     pub(crate) fn why_not(&self, connection: u64) -> String {
         let Some(half) = locked(&self.halves).get(&connection).cloned() else {
             return "it was disconnected".into();
@@ -170,7 +172,7 @@ impl Far {
         halves.collect()
     }
 
-    /// How each half stands.
+    /// State of each half.
     pub(crate) fn reports(&self) -> Vec<HalfReport> {
         self.halves().iter().map(|half| half.report(|| unsaid(&self.links, half))).collect()
     }

@@ -1,11 +1,12 @@
-//! Makes any bytes a value of a type: what another process wrote is looked at by code that relies on its types.
+//! Makes any bytes a value of a type: bytes that another process wrote are looked at by code that relies on
+//! its types.
 //!
-//! Invariant: the bytes of a value stay as they are. Flags become 0 or 1, lengths at most what there is room for; all else has no
-//! bits that could be wrong.
+//! Invariant: the bytes of a valid value stay as they are. Flags become 0 or 1, lengths at most the room
+//! there is; no other bits could be wrong.
 
 use trocar_model::{Prim, Type};
 
-/// Where in a value there are bits that could be wrong.
+/// Places in a value whose bits could be wrong.
 #[derive(Default)]
 pub(crate) struct Mend {
     /// Bytes that are 0 or 1, from and how many.
@@ -48,7 +49,7 @@ impl Mend {
     fn add_items(&mut self, item: &Type, n: usize, at: usize) {
         let mut first = Mend::default();
         first.add(item, 0);
-        // Nothing in one is nothing in any number of them.
+        // An item without such places adds none, whatever the count.
         if !first.flags.is_empty() || !first.lengths.is_empty() {
             (0..n).for_each(|i| self.add(item, at + i * item.size()));
         }

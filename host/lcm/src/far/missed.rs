@@ -1,29 +1,31 @@
-//! Samples of an output that no link of a connection was offered, told exactly by their numbers.
+//! Samples of an output that no link of a connection was offered, counted exactly by their numbers.
 //!
-//! Invariant: an output numbers each of its writes, and a link is offered all of them, one after the other, from its first to its
-//! last. So what lies between the last of one link and the first of the next was lost, whenever exactly either was cut or wired up.
+//! Invariant: an output numbers each of its writes, and a link is offered all of them, one after the other,
+//! from its first to its last. So the samples between the last of one link and the first of the next were
+//! lost, whenever exactly either link was cut or wired up.
 
 use super::wires::Offered;
 
-/// Over all links of one connection.
+/// Count over all links of one connection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Missed {
     /// The last sample that was offered, or written before the first link; `None`: it was never linked.
     last: Option<u64>,
-    /// Between links that are over.
+    /// Lost between links that have ended.
     lost: u64,
 }
 
 impl Missed {
-    /// Lost until now, with this on the present link, or without one.
+    /// Lost until now; `now`: offered to the present link, if there is one.
     pub(super) fn so_far(&self, now: Option<Offered>) -> u64 {
         let Some((last, now)) = self.last.zip(now) else { return self.lost };
-        // Nothing was offered yet: what was written will not be.
+        // Nothing was offered yet: the samples written so far will not be.
         let next = if now.first > 0 { now.first } else { now.written + 1 };
         self.lost + next.saturating_sub(last + 1)
     }
 
-    /// A link is over that was offered this. What a cycle under way still offers to it lies before the first of the next one.
+    /// Notes the end of a link that was offered these samples. Samples that a cycle under way still offers to
+    /// it lie before the first of the next one.
     pub(super) fn ended(&mut self, link: Offered) {
         if link.first == 0 {
             self.last.get_or_insert(link.written);
@@ -66,7 +68,7 @@ mod tests {
     fn a_sample_that_was_offered_to_a_link_while_it_was_cut_is_lost_once() {
         let mut missed = Missed::default();
         missed.ended(offered(1, 10, 10));
-        // Its number had been noted, and it was counted too late.
+        // The number of its first sample was noted, but the sample was counted too late.
         missed.ended(offered(11, 0, 10));
         assert_eq!(missed.so_far(Some(offered(12, 1, 12))), 1);
     }

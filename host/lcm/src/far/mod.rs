@@ -1,8 +1,9 @@
 //! Connections to components of other processes of this machine.
 //!
-//! One end of such a connection is a [`Half`]: it stands as long as the GCM wants the connection, and is linked to the other one while
-//! both processes live. Invariant: halves are changed by one thread, `trocar-far`; that a process is gone is noted at once by whoever
-//! notices, and what follows from it is done there.
+//! One end of such a connection is a [`Half`]: it exists as long as the GCM wants the connection, and is
+//! linked to the other one while both processes live. Invariant: halves are changed by one thread,
+//! `trocar-far`; any thread that notices the loss of a process notes it at once, and `trocar-far` does the
+//! rest.
 
 mod asks;
 mod face;

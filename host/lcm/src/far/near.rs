@@ -1,7 +1,9 @@
-//! Both halves of a connection inside one process, joined at once in memory that both map, as between two processes.
+//! Both halves of a connection inside one process, joined at once in memory that both map, as between two
+//! processes.
 //!
-//! Invariant: what the ends share is the memory alone. Reads are the exception: they look at the server's state table, which is in this
-//! very process. Frames a reader still holds when its connection is cut stay as they are until it lets go.
+//! Invariant: the ends share the memory alone. Reads are the exception: they look at the server's state
+//! table, which is in this very process. Frames a reader still holds when its connection is cut stay as they
+//! are until it lets go.
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -26,7 +28,7 @@ use super::serving::Desk;
 use super::terms::{Terms, Way, commands};
 use super::wires::{ClientWires, Here, Offer, Offered, ServerWires, header_bytes};
 
-/// Connections of this kind of one process.
+/// Connections of this kind in one process.
 pub(crate) struct Near {
     streams: Mutex<Vec<Weak<Stream>>>,
     /// Frames of streams that were cut.
@@ -41,17 +43,17 @@ struct Frames {
     pools: Arc<FarPools>,
     views: Arc<FarViews>,
     reader: Arc<Waker>,
-    /// How many of the pools the reader knows.
+    /// Number of the pools the reader knows.
     known: usize,
 }
 
-/// A stream with what it needs to be made anew.
+/// A stream with all that is needed to make it anew.
 struct Stream {
     connection: Connection,
     client: Here,
     server: Here,
     bell: Arc<Waker>,
-    /// Where its frames stay when it goes.
+    /// Store of its frames after it is cut.
     left: Arc<Mutex<Vec<Frames>>>,
     stage: Mutex<Stage>,
 }
@@ -62,9 +64,9 @@ struct Stage {
     wires: Option<Pair>,
     cut: bool,
     frames: Option<Frames>,
-    /// What passed and was lost before it was made anew.
+    /// Figures from before it was made anew.
     before: LinkDetail,
-    /// What the output wrote while it was not linked.
+    /// Writes of the output while it was not linked.
     missed: Missed,
 }
 
@@ -90,7 +92,7 @@ impl Near {
     }
 
     /// # Errors
-    /// What does not fit, or memory and bells the machine does not give.
+    /// The ends do not fit, or the machine lacks memory or bells.
     pub(crate) fn join(
         &self,
         connection: &Connection,
@@ -116,8 +118,8 @@ impl Near {
         Ok(Box::new(stream))
     }
 
-    /// Has readers know the pools of the frames that wait for them, and takes back what they have done with; true while there are
-    /// frames to look after.
+    /// Gives readers the pools of the frames that wait for them, and takes back frames they have released;
+    /// true while there are frames to look after.
     pub(crate) fn tend(&self) -> bool {
         let all: Vec<Arc<Stream>> = {
             let mut streams = locked(&self.streams);
@@ -138,7 +140,7 @@ fn cannot(connection: &Connection, why: &io::Error) -> Refusal {
 
 type Ends<'e> = (&'e Connection, &'e Here, &'e Here);
 
-/// What passes by the ports as they are now, and those ports: the client's and the server's.
+/// Determines the terms by the present ports, and returns those ports: the client's and the server's.
 fn terms((connection, client, server): Ends<'_>) -> Result<(Terms, Arc<PortSet>, Arc<PortSet>), Refusal> {
     let (to, from) = (client.instance.described.now(), server.instance.described.now());
     let mut terms = Terms::of(connection, &to.ports, &typed(connection, &from), false)?;
@@ -147,7 +149,7 @@ fn terms((connection, client, server): Ends<'_>) -> Result<(Terms, Arc<PortSet>,
             let (given, taken) = (&from.ports.outputs[*output].ty, &to.ports.inputs[*input].ty);
             passing(connection, given, taken, from.slots.output(*output))?;
         }
-        // Nobody has to publish what both can look at.
+        // Nothing has to be published where both ends can look at the table.
         Way::Calls { shape, .. } => shape.reads.clear(),
     }
     Ok((terms, to, from))
@@ -208,18 +210,18 @@ impl Pair {
         Ok((Pair { client: at_client, server: at_server }, frames))
     }
 
-    /// What is known of it in the end, and what its output has offered to it.
+    /// Cuts the wires; returns their last figures, and the samples that the output has offered to the link.
     fn cut(&self, (connection, client, server): Ends<'_>) -> (LinkDetail, Option<Offered>) {
         self.client.disconnect(client, Loss::Cut);
         let (last, offered) = self.server.end(connection, server);
-        // What a cycle under way still takes is among what was not to be seen any more, and counts once.
+        // A sample that a cycle under way still takes counts among the lost ones already, and counts once.
         let taken = offered.map(|offered| offered.count.saturating_sub(last.dropped + last.skipped));
         let all = self.client.detail().merged(last);
         (LinkDetail { passed: taken.unwrap_or(all.passed), ..all }, offered)
     }
 }
 
-/// Binds reads to the server itself.
+/// Binds reads directly to the server.
 fn look_directly(
     connection: &Connection,
     binding: &Binding,
@@ -236,11 +238,11 @@ fn look_directly(
 }
 
 impl Frames {
-    /// Maps the pools its reader does not know.
+    /// Maps the pools that the reader does not know.
     fn know(&mut self) {
         let before = self.known;
         while let Some(number) = self.pools.at(self.known) {
-            // One that is gone already has no frames that could come.
+            // A pool that is gone already has no frames that could come.
             if let Some(file) = PoolFile::numbered(number) {
                 // Out of files or of addresses: the next look may find some.
                 let Ok(fd) = file.fd().try_clone_to_owned() else { break };
@@ -250,7 +252,7 @@ impl Frames {
             self.known += 1;
         }
         if self.known > before {
-            // A frame may wait for it.
+            // A frame may wait for this pool.
             self.reader.notify();
         }
     }
@@ -271,7 +273,7 @@ impl Stream {
         stage.frames.is_some()
     }
 
-    /// Makes it anew: its frames came from more pools than a link carries.
+    /// Makes the stream anew: its frames came from more pools than a link carries.
     fn renew(&self, stage: &mut Stage, epoch: &AtomicU64) {
         let ends = (&self.connection, &self.client, &self.server);
         self.take(stage);
@@ -291,7 +293,7 @@ impl Stream {
         }
     }
 
-    /// Cuts its wires, if it has any; its frames stay as they are until its reader lets go.
+    /// Cuts the wires, if there are any; the frames stay as they are until the reader lets go.
     fn take(&self, stage: &mut Stage) {
         let Some(wires) = stage.wires.take() else { return };
         let (last, offered) = wires.cut((&self.connection, &self.client, &self.server));

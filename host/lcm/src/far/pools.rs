@@ -1,6 +1,7 @@
-//! Pools whose frames pass between two processes: told of by the one that writes, mapped by the other.
+//! Pools whose frames pass between two processes: announced by the writer, mapped by the reader.
 //!
-//! Invariant: a pool is told of once, under its place on the link, and before that its frames wait at the reader.
+//! Invariant: a pool is announced once, under its place on the link, and before that its frames wait at the
+//! reader.
 
 use std::os::fd::OwnedFd;
 
@@ -11,12 +12,12 @@ use trocar_rt::stream::FarViews;
 use super::wires::ServerWires;
 use super::words::Pool;
 
-/// What the other end was not told of yet.
+/// Pools that are not announced to the other end yet.
 #[derive(Default)]
 pub(super) struct Untold {
     pub(super) pools: Vec<Pool>,
     pub(super) files: Vec<OwnedFd>,
-    /// How many it knows of then.
+    /// Number of announced pools, these included.
     pub(super) told: usize,
 }
 
@@ -25,7 +26,7 @@ impl Untold {
         let ServerWires::Output { pools, told, .. } = wires else { return Untold::default() };
         let mut untold = Untold { told: *told, ..Untold::default() };
         while let Some(number) = pools.at(untold.told) {
-            // One that is gone already has no frames that could come.
+            // A pool that is gone already has no frames that could come.
             if let Some(file) = PoolFile::numbered(number) {
                 // Out of files: the next look may find one.
                 let Ok(fd) = file.fd().try_clone_to_owned() else { break };
@@ -37,7 +38,7 @@ impl Untold {
         untold
     }
 
-    /// It was sent.
+    /// Notes that the pools were announced.
     pub(super) fn note(told_now: usize, wires: &mut ServerWires) {
         if let ServerWires::Output { told, .. } = wires {
             *told = told_now;
@@ -45,7 +46,7 @@ impl Untold {
     }
 }
 
-/// Every file that was sent along is here.
+/// Checks that every file that was sent along has arrived.
 pub(super) fn all_came(message: &Message) -> Result<(), String> {
     let (given, announced) = (message.files.len(), message.announced);
     if given == announced {

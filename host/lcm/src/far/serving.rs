@@ -1,6 +1,7 @@
-//! Answers the reads other processes have to ask for.
+//! Answers to the reads that other processes have to ask for.
 //!
-//! Invariant: a read that does not come back holds up the questions of its own connection only, and those run into their deadlines.
+//! Invariant: a read that does not return holds up the questions of its own connection only, and those run
+//! into their deadlines.
 
 use std::os::fd::BorrowedFd;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -14,7 +15,7 @@ use super::super::boundary::{ERR_BYTES, RangeCheck, Reader, read_published};
 use super::super::instance::Instance;
 use super::words::Words;
 
-/// Questions that may wait.
+/// Most questions that may wait.
 const DEPTH: usize = 64;
 
 /// A read a client may ask for.
@@ -31,20 +32,21 @@ pub(super) struct Served {
 pub(super) struct Question {
     pub(super) number: u64,
     pub(super) index: u32,
-    /// Nobody waits for the answer after this, ns.
+    /// Time at which the caller stops waiting, ns.
     pub(super) until_ns: u64,
     pub(super) arg: Vec<u8>,
 }
 
-/// Where the questions of one link are answered: on a thread of its own, which the first one begins and which ends with this.
+/// Desk for the questions of one link: they are answered on a thread of its own, which starts with the first
+/// question and ends with the desk.
 pub(super) struct Desk {
-    /// `None`: nobody asks.
+    /// `None`: there are no questions.
     clerk: Option<Arc<Clerk>>,
     thread: OnceLock<Option<SyncSender<Question>>>,
 }
 
 impl Desk {
-    /// Nobody asks.
+    /// A desk without questions.
     pub(super) fn closed() -> Desk {
         Desk { clerk: None, thread: OnceLock::new() }
     }
@@ -62,7 +64,7 @@ impl Desk {
 
     /// Takes a question; one too many is not answered.
     pub(super) fn ask(&self, question: Question) {
-        // Most connections have reads that nobody asks for.
+        // The thread starts late: most connections have reads that are never asked for.
         if let Some(thread) = self.thread.get_or_init(|| self.begin()) {
             let _ = thread.try_send(question);
         }
@@ -126,7 +128,7 @@ impl Clerk {
             value_bytes: value.len() as u32,
         };
         value.extend_from_slice(&text[..text_bytes]);
-        // Whoever asked has its deadline.
+        // A failure needs no answer: the caller has its deadline.
         let _ = self.session.send(&words.encode(&value), &[] as &[BorrowedFd<'_>]);
     }
 }

@@ -1,4 +1,4 @@
-//! What both ends of a connection work out for themselves from what they were told of each other: sizes, and the hash that shows
+//! Terms of a connection: sizes that both ends compute from each other's description, and the hash that shows
 //! that they agree.
 //!
 //! Invariant: the same ports and options give the same terms in every process.
@@ -27,7 +27,7 @@ pub(super) enum Way {
         shape: StreamShape,
         depth: usize,
         adapt: Option<(Vec<CopyRun>, usize)>,
-        /// The client only looks on.
+        /// True when the client only observes.
         observes: bool,
     },
     Calls {
@@ -40,19 +40,20 @@ pub(super) fn size(ty: Option<&Type>) -> usize {
     ty.map_or(0, Type::size)
 }
 
-/// Where a client in another process has what a read answers.
+/// Source of a read's results for a client in another process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reading {
     /// The server's process publishes the results.
     Published,
-    /// The client works them out, from the rows the server's process publishes.
+    /// The client computes them, from the rows the server's process publishes.
     Here,
     /// The server's process has to be asked.
     Asked,
 }
 
 impl Reading {
-    /// Of the command with this number among `all` of a server; `None` for what is no read. `own`: the client works out what it can.
+    /// Source for the command with this number among `all` of a server; `None` for a command that is no read.
+    /// `own`: the client computes the reads it can.
     pub(super) fn of(server: &Ports, all: &[&Command], id: usize, own: bool) -> Option<Reading> {
         let command = all[id];
         let system = server.provided.len().saturating_sub(1);
@@ -67,7 +68,7 @@ impl Reading {
     }
 }
 
-/// Bytes of a class's rows, and what both ends know of them.
+/// Bytes of a class's rows, and the terms both ends know of them.
 pub(super) fn of_rows(class: &ClassInfo) -> (usize, Agreed) {
     let state = class.ports.state.as_ref();
     (size(state), Agreed { hash: state.map_or(0, Type::hash), epoch: 0 })
@@ -79,7 +80,7 @@ pub(super) fn commands(server: &Ports) -> Vec<&Command> {
 }
 
 impl Terms {
-    /// `own`: the client works reads out itself.
+    /// `own`: the client computes reads itself.
     ///
     /// # Errors
     /// The mismatch refusals of `model::bindings`.
@@ -100,7 +101,7 @@ impl Terms {
 }
 
 impl Terms {
-    /// Some reads of it are worked out by the client, by these terms.
+    /// Tells whether the client computes some reads itself, by these terms.
     pub(super) fn works_reads_out(&self) -> bool {
         matches!(&self.way, Way::Calls { shape, .. } if shape.own_reads > 0)
     }

@@ -1,7 +1,7 @@
-//! What stands while both halves of a connection are linked: cells bound, queues and bells in place.
+//! Wires of a connection whose halves are linked: cells bound, queues and bells in place.
 //!
-//! Invariant: as for connections inside the process, every wire can be cut at any moment: callers inside finish on the old binding,
-//! later ones see UNBOUND. What is queued is answered.
+//! Invariant: as for connections inside the process, every wire can be cut at any moment: callers inside
+//! finish on the old binding, later ones see UNBOUND. Queued calls are answered.
 
 mod client;
 
@@ -37,7 +37,7 @@ pub(super) use client::{ClientWires, Own};
 pub(crate) struct Here {
     pub(crate) instance: Arc<Instance>,
     pub(crate) executor: Arc<Executor>,
-    /// The component at the other end, where that is here, too.
+    /// The component at the other end, if that is in this process, too.
     pub(crate) other: Option<Weak<Instance>>,
 }
 
@@ -46,7 +46,7 @@ impl Here {
         Here { instance, executor, other: None }
     }
 
-    /// Who fills a queue of this end.
+    /// Source of the entries in a queue of this end.
     fn from(&self, other: &ComponentId) -> From {
         match &self.other {
             Some(other) => From::Component(other.clone()),
@@ -69,7 +69,7 @@ pub(super) enum ServerWires {
         /// Number of the first sample that was offered; 0: none was.
         first: Arc<AtomicU64>,
         pools: Arc<FarPools>,
-        /// Of how many the client was told.
+        /// Number of pools the client was told of.
         told: usize,
         shape: Shape,
     },
@@ -80,27 +80,27 @@ pub(super) enum ServerWires {
         face: Arc<Face>,
         bell: Arc<Waker>,
         desk: Desk,
-        /// Commands that failed and that never ran, as the client was told.
+        /// Failed commands and commands that never ran, as the client was told.
         toll: (u64, u64),
-        /// Reads that panicked in the client's process, as it told.
+        /// Reads that panicked in the client's process, as that process told.
         panicked: AtomicU64,
     },
 }
 
-/// What an output has offered to one link: sample number `first` and those after it, `count` in all.
+/// Samples an output has offered to one link: number `first` and those after it, `count` in all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Offered {
-    /// 0: nothing yet.
+    /// 0: none yet.
     pub(super) first: u64,
     pub(super) count: u64,
-    /// Writes of the output, as they were before.
+    /// Writes of the output, read before the other counts.
     pub(super) written: u64,
 }
 
-/// Reads another process is believed to have had panic at once: sums of them fit.
+/// Most panicked reads that another process may report at once: sums of them fit.
 const MOST_PANICS: u64 = 1 << 32;
 
-/// The command with this number is GetState.
+/// Tells whether the command with this number is GetState.
 fn is_status(server: &Ports, id: usize) -> bool {
     id == server.first_command(server.provided.len().saturating_sub(1)) + system::GET_STATE
 }
@@ -115,7 +115,7 @@ fn full(why: String) -> io::Error {
 
 impl Offer {
     /// # Errors
-    /// The machine has not that much memory.
+    /// The machine lacks that much memory.
     pub(super) fn make(way: &Way, agreed: Agreed, bell: &Arc<Waker>) -> io::Result<Offer> {
         Ok(match way {
             Way::Stream { shape, .. } => {
@@ -231,7 +231,7 @@ impl ServerWires {
         });
         let events = events.collect();
         server.edit_faces(|faces| faces.push(face.clone()));
-        // Afterwards: what is published from now on is shown by whoever publishes it.
+        // After the wiring: rows published from now on are shown by the thread that publishes them.
         server.show_row();
         face.show_positions();
         face.show_figures(server);
@@ -249,7 +249,7 @@ impl ServerWires {
         })
     }
 
-    /// Cuts them.
+    /// Cuts the wires.
     pub(super) fn disconnect(&self, connection: &Connection, here: &Here) {
         let server = &here.instance;
         match self {
@@ -272,7 +272,7 @@ impl ServerWires {
         settle(server);
     }
 
-    /// Whether these are the wires of a binding as it is now.
+    /// Tells whether these are the wires of the present binding.
     pub(super) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
         let ServerWires::Calls { events, commands_in, .. } = self else { return false };
         let mut commands = binding.functions.iter().map(|(_, id)| &set.commands[*id]);
@@ -283,17 +283,17 @@ impl ServerWires {
             && events.iter().all(|event| emitted.next().is_some_and(|now| Arc::ptr_eq(now, event)))
     }
 
-    /// Frames came of more pools than a link carries.
+    /// Tells whether frames came from more pools than a link carries.
     pub(super) fn has_overflowed(&self) -> bool {
         matches!(self, ServerWires::Output { pools, .. } if pools.has_overflowed())
     }
 
-    /// Frames may wait for their pools to be told of.
+    /// Tells whether frames may wait until their pools are announced.
     pub(super) fn lends(&self) -> bool {
         matches!(self, ServerWires::Output { shape: Shape { frame: true, .. }, .. })
     }
 
-    /// Takes back what the reader has done with, where nobody writes any more.
+    /// Takes back frames that the reader has released, when the writer is idle.
     pub(super) fn collect(&self) {
         if let ServerWires::Output { pools, .. } = self {
             pools.collect_if_idle();
@@ -304,19 +304,20 @@ impl ServerWires {
         matches!(self, ServerWires::Output { .. })
     }
 
-    /// Of an output, what it has offered so far.
+    /// Samples offered so far; only for an output.
     pub(super) fn offered(&self) -> Option<Offered> {
         let ServerWires::Output { output, stats, first, .. } = self else { return None };
         Some(Self::counted(output.seq.load(Ordering::Relaxed), stats.stats().pushed, first))
     }
 
     fn counted(written: u64, count: u64, first: &AtomicU64) -> Offered {
-        // What was counted has left its number before.
+        // A counted sample has stored its number before.
         fence(Ordering::Acquire);
         Offered { first: first.load(Ordering::Relaxed), count, written }
     }
 
-    /// Cuts them; what is known of them then. Of an output also what it has offered to them: what waits will not be seen any more.
+    /// Cuts the wires and returns their last figures. For an output also the samples it has offered: those
+    /// that wait will not be seen any more.
     pub(super) fn end(&self, connection: &Connection, here: &Here) -> (LinkDetail, Option<Offered>) {
         let ServerWires::Output { output, stats, first, shape, .. } = self else {
             self.disconnect(connection, here);
@@ -333,14 +334,16 @@ impl ServerWires {
         (detail, Some(Self::counted(written, stats.pushed, first)))
     }
 
-    /// Of the commands that were only sent how many failed and how many never ran, if those are others than last time.
+    /// Commands that were only sent: how many failed and how many never ran; `None` if unchanged since the
+    /// last call.
     pub(super) fn untold_toll(&mut self) -> Option<(u64, u64)> {
         let ServerWires::Calls { commands_in, toll, .. } = self else { return None };
         let now = (commands_in.failed(), commands_in.unexecuted());
         (std::mem::replace(toll, now) != now).then_some(now)
     }
 
-    /// So many of its reads have panicked in the process of its client by now, as that says.
+    /// Takes note of the number of reads that have panicked in the process of the client, as that process
+    /// reports.
     pub(super) fn panicked(&self, count: u64, text: &[u8], (here, other): (&Here, &str)) {
         let ServerWires::Calls { panicked, .. } = self else { return };
         let more = count.saturating_sub(panicked.fetch_max(count, Ordering::Relaxed)).min(MOST_PANICS);
@@ -362,7 +365,7 @@ impl ServerWires {
                     ..LinkDetail::default()
                 }
             }
-            // What passed through the queues is told by the client.
+            // The client tells the figures of the queues.
             ServerWires::Calls { commands_in, .. } => LinkDetail {
                 failed: commands_in.failed(),
                 unexecuted: commands_in.unexecuted(),
@@ -372,14 +375,14 @@ impl ServerWires {
     }
 }
 
-/// What was cut may still be looked at by a cycle under way; it is dropped after it.
+/// Asks for another look: a cycle under way may still look at the cut wires, which are dropped after it.
 fn settle(instance: &Arc<Instance>) {
     if instance.reclaim() > 0 {
         instance.look_at_ports();
     }
 }
 
-/// Bytes in front of the frames of a stream; 0 where none pass.
+/// Bytes in front of the frames of a stream; 0 without frames.
 pub(super) fn header_bytes(way: &Way) -> usize {
     match way {
         Way::Stream { ty: PortType::Frame { header, .. }, .. } => header.size(),

@@ -1,4 +1,4 @@
-//! What two LCMs say to each other about a connection.
+//! Messages between two LCMs about a connection.
 //!
 //! ```text
 //! client's LCM                     server's LCM
@@ -8,23 +8,25 @@
 //!   Close              ◀───▶                  either side, when its half goes
 //! ```
 //!
-//! Invariant: whatever arrives is checked for its length and its form before it is used; numbers in it name things, they are no sizes.
+//! Invariant: every message is checked for its length and its form before it is used; numbers in it name
+//! things, they are no sizes.
 
 use serde::{Deserialize, Serialize};
 use trocar_rt::pool::PoolShape;
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Words {
-    /// The server's half stands.
+    /// The server's half is ready.
     Offered { connection: u64 },
-    /// The client's half stands, and sees the types of this hash; its process has this code of the server's class, if any.
+    /// The client's half is ready, and sees the types of this hash; its process has this code of the server's
+    /// class, if any.
     Open {
         connection: u64,
         hash: u64,
         #[serde(default)]
         code: Option<String>,
     },
-    /// The memory for it; behind it, if so, that of the server's rows, then that of these pools.
+    /// The memory for the link; after it that of the server's rows, if `rows`, then that of these pools.
     Opened {
         connection: u64,
         epoch: u64,
@@ -32,19 +34,20 @@ pub(super) enum Words {
         rows: bool,
         pools: Vec<Pool>,
     },
-    /// Not now (`later`: ask again when it is offered), or never as things are.
+    /// Refused for now (`later`: ask again when it is offered), or for good as things are.
     Declined { connection: u64, why: String, later: bool },
-    /// The link of this epoch went.
+    /// The link of this epoch is gone.
     Close { connection: u64, epoch: u64 },
-    /// Memory of pools whose frames are to come, or have; by their places, one after another.
+    /// Memory of pools whose frames will come, or have come; by their places, one after another.
     Pools { connection: u64, epoch: u64, pools: Vec<Pool> },
-    /// Of the commands that were only sent so many failed, and so many never ran, on this link.
+    /// Commands on this link that were only sent: how many failed, and how many never ran.
     Toll { connection: u64, epoch: u64, failed: u64, unexecuted: u64 },
-    /// Of the reads the client works out itself so many panicked on this link; what the last one said is behind.
+    /// Number of reads computed by the client that panicked on this link; the sentence of the last one
+    /// follows.
     Panicked { connection: u64, epoch: u64, count: u64 },
-    /// The result of a read is wanted within this time, ns; its argument is behind.
+    /// The caller wants the result of a read within this time, ns; its argument follows.
     Ask { connection: u64, epoch: u64, number: u64, index: u32, left_ns: u64 },
-    /// It is behind, then the sentence.
+    /// Result of a read; the value follows, then the sentence.
     Told { connection: u64, epoch: u64, number: u64, outcome: i32, stamp_ns: u64, value_bytes: u32 },
 }
 
@@ -71,7 +74,7 @@ impl Pool {
 const LENGTH: usize = 4;
 
 impl Words {
-    /// The words, and what is behind them.
+    /// Encodes the words, and appends the bytes `behind` them.
     pub(super) fn encode(&self, behind: &[u8]) -> Vec<u8> {
         let words = serde_json::to_vec(self).unwrap_or_default();
         let mut bytes = u32::try_from(words.len()).unwrap_or(u32::MAX).to_le_bytes().to_vec();

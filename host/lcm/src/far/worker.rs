@@ -1,7 +1,8 @@
-//! The thread `trocar-far`: links halves when the other process is there, takes the links away when it is not.
+//! The thread `trocar-far`: links halves when the other process is there, and removes the links when it is
+//! not.
 //!
-//! Invariant: a half is linked only over a session with the very run of the process that the GCM named; what any other run of that
-//! name says concerns nobody. Each session is asked once for each link.
+//! Invariant: a half is linked only over a session with the very run of the process that the GCM named;
+//! messages of any other run of that name are ignored. Each session is asked once for each link.
 
 use std::collections::BTreeMap;
 use std::os::fd::{AsFd, OwnedFd};
@@ -27,40 +28,41 @@ use super::serving::{Desk, Question};
 use super::wires::{ClientWires, Offer, Own, ServerWires, header_bytes};
 use super::words::{Pool, Words};
 
-/// How often links of frames are looked at for pools their other end was not told of, and for frames that come back.
+/// Time between looks at links of frames: for pools not announced to their other end yet, and for returned
+/// frames.
 const POOLS_LOOK: Duration = Duration::from_millis(10);
-/// How often a link that came to nothing is asked for again, while both processes live.
+/// Time between attempts to make a failed link, while both processes live.
 const RETRY: Duration = Duration::from_millis(200);
-/// Links of one session, gone, whose frames stay lent.
+/// Most removed links of one session whose frames stay lent.
 const MOST_LENT: usize = 32;
-/// How long a session outlives the last connection that needed it.
+/// Time a session outlives the last connection that needed it.
 const LINGER: Duration = Duration::from_secs(1);
-/// How often clients are told what became of commands they only sent.
+/// Time between reports to clients about failed commands that they only sent.
 const TOLL: Duration = Duration::from_secs(1);
 
 pub(super) struct Worker {
     links: Arc<Links>,
     halves: Halves,
     todos: Arc<Todos>,
-    /// Live ones, dialled or not.
+    /// Live sessions, dialled by this process or by the other one.
     sessions: Vec<Arc<Session>>,
-    /// Of the newest link.
+    /// Epoch of the newest link.
     epoch: u64,
     retried: Instant,
     tolled: Instant,
-    /// Links that are gone while their readers, over these sessions, still hold frames.
+    /// Removed links whose readers, over these sessions, still hold frames.
     lent: Vec<(Arc<Session>, Arc<FarPools>)>,
     /// Servers of connections that were cut, over these sessions, while calls in them were under way.
     leaving: Vec<(Arc<Session>, Weak<FarServer>)>,
-    /// Where processes listen whose session nobody needs any more, since when: what is under way ends first, and who connects again
-    /// right after finds it.
+    /// Sockets of processes whose session is no longer needed, and since when: calls under way end first, and
+    /// a new connection right after finds the session.
     left: Vec<(PathBuf, Instant)>,
-    /// How each half stood when that was told last.
+    /// State of each half as last reported.
     told: BTreeMap<u64, HalfReport>,
     news: Box<dyn Fn(HalfReport) + Send>,
 }
 
-/// Why a half is not linked, when nothing was said of it yet.
+/// Reason why a half is not linked, when no reason was given yet.
 pub(super) fn unsaid(links: &Links, half: &Half) -> String {
     let other = half.other();
     match half.role {
@@ -83,8 +85,8 @@ fn tell_panics(session: &Session, (connection, epoch): (u64, u64), wires: &mut C
     }
 }
 
-/// The rows of a half's component and their file, for a client whose process has this code of its class; none where it has not, or
-/// where they cannot be had: then it asks.
+/// The rows of a half's component and their file, for a client whose process has this code of its class;
+/// `None` for any other client, or if the rows cannot be had: then the client asks.
 fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedFd)> {
     let server = &half.here.instance;
     let reads = half.terms(true).is_ok_and(|(_, terms)| terms.works_reads_out());
@@ -139,7 +141,7 @@ impl Worker {
         }
     }
 
-    /// False when this was the last one.
+    /// Handles one task; false after the last one.
     fn follow(&mut self, todo: Todo) -> bool {
         match todo {
             Todo::Met(session) => self.met(session),
@@ -160,7 +162,7 @@ impl Worker {
         true
     }
 
-    /// When to look again, should nothing be said until then.
+    /// Time until the next look, if no message comes before.
     fn pause(&self) -> Option<Duration> {
         let pause = |half: Arc<Half>| match (&half.stage().linked, half.role) {
             (Some(Linked { wires: Wires::Server(wires), .. }), _) if wires.lends() => Some(POOLS_LOOK),
@@ -174,7 +176,7 @@ impl Worker {
         all(&self.halves).into_iter().filter_map(pause).chain(lent).chain(left).min()
     }
 
-    /// Tells how the halves stand that stand differently.
+    /// Reports the state of the halves that have changed.
     fn tell(&mut self) {
         let all = all(&self.halves);
         for half in &all {
@@ -195,7 +197,7 @@ impl Worker {
 
     fn added(&mut self, half: &Arc<Half>, before: Option<Arc<Half>>) {
         if half.role == Role::Client {
-            // Before the one in its place leaves, or their session would end in between.
+            // Before the replaced half leaves, or their session would end in between.
             self.links.want(&half.card.socket);
         }
         if let Some(before) = before {
@@ -220,7 +222,7 @@ impl Worker {
         }
     }
 
-    /// Lets sessions go that nobody needs any more.
+    /// Ends sessions that are no longer needed.
     fn leave(&mut self) {
         let busy = !self.leaving.is_empty();
         let links = &self.links;
@@ -233,8 +235,8 @@ impl Worker {
         });
     }
 
-    /// Takes the wires of a half away, if it is linked (over this session, where one is named), and has the other end do the same
-    /// where that cannot know. True if it was.
+    /// Removes the wires of a half, if it is linked (over this session, where one is named), and has the
+    /// other end do the same if it cannot know. True if the half was linked.
     fn unlink(
         &mut self,
         half: &Half,
@@ -253,9 +255,9 @@ impl Worker {
         }
         match wires {
             _ if session.is_lost() => {}
-            // What the reader still holds stays as it is until it lets go, or is gone.
+            // Frames the reader still holds stay as they are until it lets go, or is gone.
             Wires::Server(ServerWires::Output { pools, .. }) => self.keep_lent(session, pools),
-            // What has begun there is carried to its end, unless that process ends first.
+            // Calls that have begun there are carried to their end, unless that process ends first.
             Wires::Client(ClientWires::Calls { server, .. }) => {
                 self.leaving.push((session, Arc::downgrade(&server)));
             }
@@ -264,7 +266,7 @@ impl Worker {
         true
     }
 
-    /// What the reader of a link that is gone still holds stays as it is; not of any number of links, though.
+    /// Keeps the frames that the reader of a removed link still holds; only for a limited number of links.
     fn keep_lent(&mut self, session: Arc<Session>, pools: Arc<FarPools>) {
         let same = |(over, _): &(Arc<Session>, _)| Arc::ptr_eq(over, &session);
         if self.lent.iter().filter(|kept| same(kept)).count() >= MOST_LENT
@@ -330,7 +332,7 @@ impl Worker {
             let (here, other) = (half.port().port.as_str(), half.other_port());
             half.here.instance.warn_about(&format!("{here} has lost {other}"), &format!(": {why}"));
         }
-        // The memory of all these links goes last: nobody is to wait for that.
+        // The memory of all these links is freed last: nothing should wait for that.
         drop(cut);
     }
 
@@ -340,7 +342,7 @@ impl Worker {
             Err(why) => return session.condemn(&why),
         };
         let connection = words.connection();
-        // Only the process of the other end, in the run that is meant, has a say in a connection.
+        // Only the process of the other end, in the run that is meant, may send messages about a connection.
         let half = locked(&self.halves).get(&connection).filter(|half| half.is_with(session)).cloned();
         let Some(half) = half else {
             if let Words::Open { .. } = words {
@@ -394,17 +396,17 @@ impl Worker {
                     }
                 });
             }
-            // Of an earlier link it says nothing new.
+            // A message about an earlier link says nothing new.
             (_, Words::Close { epoch, .. }) if half.with_wires(session, epoch, |_| ()).is_some() => {
                 let why = format!("process {} has disconnected it", half.other());
                 self.unlink(&half, Some(session), &why, Loss::Cut, false);
             }
-            // Said by the wrong end: nothing comes of it.
+            // A message from the wrong end: it is ignored.
             _ => {}
         }
     }
 
-    /// The client's process asks for the memory.
+    /// Handles the request of the client's process for the memory.
     fn opens(&mut self, session: &Arc<Session>, half: &Arc<Half>, hash: u64, code: Option<String>) {
         let connection = half.number();
         let decline = |why: String| {
@@ -461,7 +463,7 @@ impl Worker {
         }
     }
 
-    /// The server's process gave the memory.
+    /// Handles the memory that the server's process gave.
     fn opened(
         &mut self,
         session: &Arc<Session>,
@@ -503,16 +505,16 @@ impl Worker {
         }
     }
 
-    /// The server's process told of pools whose frames are to come.
+    /// Handles the pools that the server's process announced.
     fn pools(&mut self, session: &Arc<Session>, half: &Half, epoch: u64, pools: &[Pool], message: Message) {
         let parts = half.with_wires(session, epoch, |wires| match wires {
             Wires::Client(ClientWires::Input { views, bell, .. }) => Some((views.clone(), bell.clone())),
             _ => None,
         });
         let Some(Some((views, bell))) = parts else { return };
-        // Mapping takes its time: whoever looks at the half meanwhile does not wait for it.
+        // Mapping takes its time: other users of the half do not wait for it.
         match all_came(&message).and_then(|()| map(&views, pools, message.files)) {
-            // A frame may wait for it.
+            // A frame may wait for this pool.
             Ok(()) => _ = bell.notify(),
             Err(why) => {
                 self.unlink(half, Some(session), &why, Loss::Cut, true);
@@ -520,7 +522,7 @@ impl Worker {
         }
     }
 
-    /// Asks once more for what came to nothing.
+    /// Asks again for links that failed.
     fn retry(&mut self) {
         if self.retried.elapsed() < RETRY {
             return;
@@ -531,8 +533,8 @@ impl Worker {
         }
     }
 
-    /// Tells clients of the pools whose frames wait for it, and takes back frames; a link that has seen too many
-    /// pools is made anew.
+    /// Announces pools to the clients whose frames wait for them, and takes back frames; a link that has seen
+    /// too many pools is made anew.
     fn look_at_frames(&mut self) {
         for half in all(&self.halves) {
             let (connection, mut stage) = (half.number(), half.stage());
@@ -558,7 +560,8 @@ impl Worker {
         }
     }
 
-    /// Tells clients of commands they only sent and that came to nothing here, and servers of their reads that panicked here.
+    /// Tells clients of commands that they only sent and that failed or never ran here, and servers of their
+    /// reads that panicked here.
     fn tell_tolls(&mut self) {
         if self.tolled.elapsed() < TOLL {
             return;

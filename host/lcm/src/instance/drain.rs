@@ -1,6 +1,7 @@
-//! What is queued for a component and how it is run: commands, events, answers.
+//! Queued entries of a component and their execution: commands, events, answers.
 //!
-//! Invariant: every entry that carries a reply is answered once; component code runs only for the holder of the entry lock.
+//! Invariant: every entry that carries a reply is answered once; component code runs only for the holder of
+//! the entry lock.
 
 use std::sync::{Arc, PoisonError};
 
@@ -20,11 +21,11 @@ use super::super::supervise::{Entry, Misdeed};
 use super::super::{context, pending};
 use super::{Entered, Instance, Misuse};
 
-/// Calls after a Start, and after one that did it, that are looked at for the rounding mode they leave. To read
-/// that word costs 10 to 20 ns on some processors, several times a direct call: not each can be.
+/// Number of calls whose rounding mode is checked, after a Start and after a call that changed it. Reading
+/// the mode costs 10 to 20 ns on some processors, several times a direct call: not every call can be checked.
 pub(crate) const CALLS_ON_TRIAL: u32 = 256;
 
-/// A command that was queued is not carried out: its tap is told.
+/// Tells the tap of a queued command that is not carried out.
 #[cold]
 fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outcome: Outcome) {
     let tap = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened());
@@ -33,13 +34,14 @@ fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outc
     }
 }
 
-/// A goal that was only sent may wait so long for an actuator, ns, where its connection says no deadline; or
-/// so many of the actuator's own periods.
+/// Longest wait of a goal that was only sent to an actuator, ns, if its connection gives no deadline; or so
+/// many of the actuator's own periods, if those are longer.
 const GOAL_NS: u64 = 100_000_000;
 const GOAL_PERIODS: u64 = 3;
-/// Likewise of a stream of goals, ns: a machine without real-time threads is late by some milliseconds.
+/// Likewise for a stream of goals, ns: a machine without real-time threads is late by some milliseconds.
 const SERVO_NS: u64 = 10_000_000;
-/// How often a caller runs what others queued into a passive component meanwhile; then that one's own thread goes on.
+/// Number of times a caller runs the entries that others queued into a passive component meanwhile; then the
+/// component's own thread goes on.
 const ROUNDS: usize = 2;
 
 /// Longest wait of a goal that was only sent, ns; `None`: no limit. `said_ns` is the deadline of its
@@ -56,7 +58,7 @@ fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> O
     }
 }
 
-/// The rounding mode before one of its calls, while those are looked at.
+/// The rounding mode before one of its calls, while calls are checked.
 #[inline]
 fn look_at_rounding(entered: &mut Entered<'_>) -> Option<u32> {
     let on_trial = &mut entered.inner().on_trial;
@@ -75,12 +77,12 @@ impl Instance {
         self.inboxes.swap(Box::new(inboxes));
     }
 
-    /// All queues into it.
+    /// All queues into the component.
     pub(crate) fn queues(&self) -> Vec<Arc<Inbox>> {
         self.inboxes.enter().clone()
     }
 
-    /// Commands and events lost in full queues, those of connections that are gone included.
+    /// Commands and events lost in full queues, including those of connections that are gone.
     pub(crate) fn queue_losses(&self) -> [u64; 2] {
         let mut lost = self.counters.lost_before();
         for inbox in self.inboxes.enter().iter() {
@@ -90,13 +92,15 @@ impl Instance {
         lost
     }
 
-    /// Answers everything queued, unexecuted; after whatever ended it was noted.
+    /// Answers everything queued, unexecuted; called after the reason was noted.
     pub(crate) fn refuse_queued(&self, outcome: Outcome) {
-        // A call is queued, marked, and then looks once more whether it may be: either it is found here or it sees why not.
+        // A call is queued, marked, and then checks once more whether it is allowed: either it is found here
+        // or it sees why not.
         self.signalled.meet();
         let inboxes = self.inboxes.enter();
         inboxes.iter().for_each(|inbox| inbox.refuse_all(outcome));
-        // What came behind an entry that was just in hand here may have been left by its own thread: see `throw_out`.
+        // Entries behind one that was just in hand here may have been left by the component's own thread: see
+        // `throw_out`.
         self.signalled.meet();
         if inboxes.iter().any(|inbox| inbox.mailbox.has_ready()) {
             self.signalled.set();
@@ -104,7 +108,7 @@ impl Instance {
         }
     }
 
-    /// Runs what is queued: what was there, plus once what arrived meanwhile. Real-time.
+    /// Runs the queued entries: those already there, plus once those that arrived meanwhile. Real-time.
     pub(crate) fn drain(&self, entered: &mut Entered<'_>) {
         self.inboxes.look(|inboxes| self.drain_all(entered, inboxes));
     }
@@ -129,7 +133,7 @@ impl Instance {
                     (ENTRY_EVENT, Some(_)) if !self.is_active() => inbox.refuse(head, self.turned_away()),
                     (ENTRY_EVENT, Some(handler)) => {
                         self.deliver(entered, handler, payload);
-                        // Without a step after it nobody else would.
+                        // Published here, as no step follows.
                         if !pending::later(self) {
                             self.publish_state(entered);
                         }
@@ -141,7 +145,7 @@ impl Instance {
                         turn_away(entered, DEADLINE)
                     }
                     (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
-                    // Queued for a command that is not in the description any more.
+                    // The command is no longer in the description.
                     (_, None) => inbox.refuse(head, DISABLED),
                 }
             };
@@ -151,13 +155,13 @@ impl Instance {
         }
     }
 
-    /// Whether a command has waited longer than it says, or than its goal is right. Carrying it out would
-    /// move a device by a wish from before a standstill. Real-time.
+    /// Tells whether a command has waited longer than it says, or longer than its goal is valid. Running it
+    /// would move a device by a wish from before a standstill. Real-time.
     fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32, arg: &[u8]) -> bool {
         if head.kind == ENTRY_DUE {
             return os::now_ns() > head.stamp_ns;
         }
-        // Without a time nothing ages.
+        // A goal without a stamp does not age.
         if head.stamp_ns == 0 {
             return false;
         }
@@ -166,7 +170,7 @@ impl Instance {
             .is_some_and(|longest_ns| os::now_ns().saturating_sub(head.stamp_ns) > longest_ns)
     }
 
-    /// Counted; the watchdog tells of it. Real-time unless it panicked.
+    /// Counts the failure; the watchdog reports it. Real-time unless the handler panicked.
     #[cold]
     fn handler_failed(&self, entered: &mut Entered<'_>, status: Status, err: &mut ErrBuf) {
         if status == STATUS_PANICKED {
@@ -223,7 +227,8 @@ impl Instance {
             outcome
         };
         if running.is_some() {
-            // Whoever gets the answer may read at once, also of others that ran inside this command.
+            // The caller may read as soon as it has the answer, also from other components that ran inside
+            // this command.
             pending::publish();
             self.publish_state(entered);
         }
@@ -275,8 +280,8 @@ impl Instance {
         if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }
     }
 
-    /// Puts the rounding mode back to what it was before a command or handler: the code that runs next on
-    /// this thread may be its caller's. Real-time, no system call.
+    /// Restores the rounding mode from before a command or handler: the code that runs next on this thread
+    /// may be its caller's. Real-time, no system call.
     #[inline]
     fn keep_rounding(&self, entered: &mut Entered<'_>, before: Option<u32>) {
         let Some(before) = before else { return };
@@ -293,11 +298,11 @@ impl Instance {
         let entry =
             self.command_name(command).map_or_else(|| "command".into(), |name| format!("command {name}"));
         self.fail(entered, &entry, &error);
-        // Making it safe may have failed as well, and said so in the same place.
+        // Making it safe may have failed as well, and written its sentence to the same place.
         write_err(err, error.text.as_bytes());
     }
 
-    /// `interface/command` of the command at this position, as its ports are now.
+    /// `interface/command` of the command at this position, by the present ports.
     pub(crate) fn command_name(&self, command: u32) -> Option<String> {
         let ports = self.ports();
         let mut all = ports.provided.iter().flat_map(|i| i.commands.iter().map(move |c| (i, c)));
@@ -305,7 +310,7 @@ impl Instance {
         Some(format!("{}/{}", interface.name, command.name))
     }
 
-    /// Runs what was queued while somebody was inside a passive component.
+    /// Runs the entries queued while a thread was inside a passive component.
     #[inline]
     pub(crate) fn drain_if_passive(&self) {
         if self.is_passive() {
@@ -325,12 +330,12 @@ impl Instance {
         };
         let free = || self.object.is_free();
         if self.signalled.serve(ROUNDS, || self.object.try_enter(), free, work) {
-            // Also where this is its own thread, which may be on its way to rest.
+            // Also where this is its own thread, which may be about to rest.
             context::wake(&self.waker);
         }
     }
 
-    /// Leaves the mark that something is there for whoever is inside; true when nobody is any more.
+    /// Leaves the mark for the thread inside; true when no thread is inside any more.
     pub(super) fn leave_mark(&self) -> bool {
         self.signalled.leave(|| self.object.is_free())
     }
@@ -345,7 +350,8 @@ mod tests {
     #[test]
     fn a_goal_waits_for_an_actuator_100_ms_and_one_of_a_stream_three_periods_unless_its_connection_says() {
         use Goal::{None as Words, Numbers, Servo, State};
-        // Goal, deadline of its connection, whether it moves something, period; its longest wait. All in ms.
+        // Columns: goal, deadline of its connection, whether it moves something, period; longest wait. All in
+        // ms.
         for (goal, said, actuator, period, longest) in [
             (Numbers, 0, true, 0, Some(100)),
             (Numbers, 0, true, 1, Some(100)),

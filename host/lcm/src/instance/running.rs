@@ -1,7 +1,8 @@
-//! How a component is run: on which terms, who wakes it, one step, one look at its queues, a callback of its device.
+//! Execution of a component: its terms, its wakes, one step, one look at its queues, a callback of its
+//! device.
 //!
-//! Invariant: component code runs only here, in `drain` and in lifecycle jobs, each time for the holder of the entry lock and
-//! each time noted in `watch`.
+//! Invariant: component code runs only here, in `drain` and in lifecycle jobs, each time for the holder of
+//! the entry lock and each time noted in `watch`.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicPtr, Ordering};
@@ -19,32 +20,33 @@ use super::super::pending;
 use super::super::supervise::{Entry, Misdeed, Suspicion};
 use super::{Entered, Instance, Misuse};
 
-/// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are longer.
+/// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are
+/// longer.
 const PATIENCE_NS: u64 = 50_000_000;
 
-/// On which terms a component runs.
+/// Terms on which a component runs.
 pub(super) struct Terms {
-    /// Of the grid it steps on, ns; 0 without one.
+    /// Period of its grid, ns; 0 without one.
     period_ns: u64,
     patience_ns: u64,
-    /// Runs in its callers' threads.
+    /// True when it runs in its callers' threads.
     passive: bool,
-    /// Runs in threads of its device.
+    /// True when it runs in threads of its device.
     called_back: bool,
-    /// Its executor looks by itself, so nobody needs to wake it.
+    /// True when its executor polls and needs no wake.
     polled: bool,
-    /// It steps with its thread, which does so, and its steps alone take its samples.
+    /// True when it steps with its polling thread, and only its steps take its samples.
     looks: bool,
-    /// Frames pass it unchanged when its step has failed.
+    /// True when frames pass it unchanged after its step has failed.
     bypass: bool,
-    /// Steps on a stream of somebody else.
+    /// True when it steps on another component's stream.
     filter: bool,
 }
 
 impl Terms {
-    /// What `execution` means on a thread.
+    /// Terms of `execution` on a thread.
     pub(super) fn of(execution: &Execution, thread: &Executor) -> Terms {
-        // A filter steps when something new is there, not on its thread's grid.
+        // A filter steps when new data have come, not on its thread's grid.
         let period_ns = match thread.pace {
             Pace::Grid { period_ns, .. } if execution.stream_of.is_none() => period_ns,
             _ => 0,
@@ -73,18 +75,19 @@ impl Terms {
     }
 }
 
-/// What a thread of a device was doing when it came in; a thread of this LCM, when a component's code is the device.
+/// Activity of a device's thread before it came in; or of a thread of this LCM, when a component's code is
+/// the device.
 pub(super) struct Outer {
     component: AtomicPtr<HostContext>,
     stepping: bool,
-    /// Of the component it came into.
+    /// Former note in the watch of the component it came into.
     watched: u64,
 }
 
 impl Outer {
-    /// Goes on with it, out of the component of `host`.
+    /// Resumes that activity, out of the component of `host`.
     fn resume(self, host: &Arc<HostContext>) {
-        // Left in another order than entered: what came before may be gone.
+        // The callbacks were left in another order than entered: the earlier component may be gone.
         let mine = std::ptr::eq(context::swap_component(std::ptr::null()), Arc::as_ptr(host));
         let stepping = mine && self.stepping;
         if mine {
@@ -100,16 +103,16 @@ impl Outer {
     }
 }
 
-/// What became of a step.
+/// Result of a step.
 pub(crate) struct Stepped {
-    /// When it ended, ns.
+    /// Its end, ns.
     pub(crate) end_ns: u64,
-    /// Whether the component's own code ran: not where it left ACTIVE while its queues were.
+    /// Whether the component's own code ran: not when it left ACTIVE while its queues ran.
     pub(crate) ran: bool,
 }
 
 impl Instance {
-    /// Of the grid it steps on, ns; 0 without one.
+    /// Period of the grid it steps on, ns; 0 without one.
     pub(crate) fn period_ns(&self) -> u64 {
         self.terms.period_ns()
     }
@@ -119,7 +122,7 @@ impl Instance {
         self.terms.patience_ns
     }
 
-    /// How often it wants to be looked at, ns: every period, or often enough within its patience.
+    /// Wanted time between looks of the watchdog, ns: every period, or often enough within its patience.
     pub(crate) fn pace_ns(&self) -> u64 {
         if self.terms.period_ns > 0 { self.terms.period_ns } else { self.terms.patience_ns / 5 }
     }
@@ -128,12 +131,13 @@ impl Instance {
         self.terms.passive
     }
 
-    /// Its steps are the calls of its device's own threads.
+    /// Tells whether its steps are the calls of its device's own threads.
     pub(crate) fn is_called_back(&self) -> bool {
         self.terms.called_back
     }
 
-    /// How it is told that something has come for it; empty for one that runs in the threads of others.
+    /// Way it is told that data or calls wait for it; empty for a component that runs in the threads of
+    /// others.
     pub(crate) fn wake_mode(&self) -> &'static str {
         match self.terms.polled {
             _ if self.terms.passive => "",
@@ -146,7 +150,7 @@ impl Instance {
         self.terms.bypass
     }
 
-    /// What becomes of its frames when it has failed, if there are any.
+    /// Sentence about its frames after it has failed, if there are any.
     pub(super) fn on_failure(&self) -> Option<&'static str> {
         match (self.bypasses(), self.terms.filter) {
             (true, _) => Some("frames pass it unchanged until Reset (on_failure bypass)"),
@@ -165,10 +169,11 @@ impl Instance {
         self.is_passive() || (here != 0 && here == self.executor_id())
     }
 
-    /// Something is there for this component: marks it and wakes its thread, unless that is awake or looks by itself.
+    /// Signals that data or calls wait for this component: marks it and wakes its thread, unless that is
+    /// awake or polls.
     pub(crate) fn signal(&self) {
         if context::executor() == self.executor_id() {
-            // Awake already. Of one that runs in others' threads it is not the only one that takes the mark.
+            // The thread is awake already. A component in others' threads shares the mark with those threads.
             let shared = self.is_passive() || self.is_called_back();
             if shared {
                 self.signalled.set();
@@ -177,7 +182,8 @@ impl Instance {
             }
             return;
         }
-        // In one order with the gate: either this sees that it steps no more, or its thread, on its way to rest, sees the mark.
+        // In one order with the gate: either this thread sees that it steps no more, or its thread, about to
+        // rest, sees the mark.
         self.signalled.set();
         if self.is_passive() || (self.terms.polled && self.is_active()) {
             return;
@@ -185,12 +191,14 @@ impl Instance {
         self.wake();
     }
 
-    /// No sample makes it step or pass something on: its steps come by themselves and take those that wait, so nobody tells of one.
+    /// Tells whether samples need no signal: its steps come by themselves and take the waiting samples, and
+    /// no sample makes it step or pass something on.
     pub(crate) fn looks_for_samples(&self) -> bool {
         self.terms.looks
     }
 
-    /// Signalled from here that is one plain store, or has to be looked at by its caller at once: nothing to put off.
+    /// True when signalling from here is one plain store, or the caller has to look at once: then nothing is
+    /// deferred.
     pub(crate) fn signals_itself(&self) -> bool {
         self.is_passive() || context::executor() == self.executor_id()
     }
@@ -235,7 +243,7 @@ impl Instance {
         result
     }
 
-    /// One step: first what is queued, then the component's own. Real-time.
+    /// Makes one step: first the queued entries, then the component's own step. Real-time.
     pub(crate) fn step(&self, entered: &mut Entered<'_>, tick: &Tick) -> Stepped {
         let watched = self.watch.begin(Entry::Step, tick.now_ns);
         let before = context::swap_component(Arc::as_ptr(&self.host));
@@ -273,7 +281,7 @@ impl Instance {
         self.owed.take();
         if self.state_bytes > 0 {
             let (inner, block) = entered.with_state();
-            // What was left for the turn's end, while it is still the newest.
+            // The row left for the turn's end is told while it is still the newest.
             inner.tell_row();
             let published = inner.rows.publish(stamp_ns, inner.cycle, |row| block.copy_to(row));
             self.show_row();
@@ -286,22 +294,23 @@ impl Instance {
         }
     }
 
-    /// Tells the tap of the row that was left for the turn's end. Where this very thread is inside, which has no room to leave more,
-    /// its next publication does.
+    /// Tells the tap of the row that was left for the turn's end. If this very thread is inside, without room
+    /// to leave more, its next publication tells it.
     pub(crate) fn tell_row_of_turn(&self) {
         if let Some(mut entered) = self.object.try_enter() {
             entered.inner().tell_row();
         }
     }
 
-    /// Runs what is queued without a step; answers it unexecuted while the component is not ACTIVE. Real-time.
+    /// Runs the queued entries without a step; answers them unexecuted while the component is not ACTIVE.
+    /// Real-time.
     pub(crate) fn serve(&self) {
         loop {
             if let Some(mut entered) = self.object.try_enter() {
                 let before = context::swap_component(Arc::as_ptr(&self.host));
                 let rounding = os::rounding();
                 self.drain(&mut entered);
-                // No step of its own ends behind it.
+                // No step of its own follows to check the mode.
                 if os::rounding() != rounding {
                     os::reset_rounding(rounding);
                     self.watch.misdeed(Misdeed::RoundingInCall);
@@ -318,23 +327,25 @@ impl Instance {
         }
     }
 
-    /// Leaves it after a control entry: pays what is owed; for a passive one, looks at what its callers queued meanwhile.
+    /// Leaves it after a control entry: makes it safe if that is owed; for a passive one, looks at the calls
+    /// queued meanwhile.
     pub(crate) fn leave(&self, mut entered: Entered<'_>) {
         self.pay_safe(&mut entered);
         drop(entered);
         self.drain_if_passive();
     }
 
-    /// Brings it to its safe condition when it was found stuck meanwhile and could not be reached.
+    /// Brings it to its safe condition if it was found stuck meanwhile and could not be reached.
     pub(crate) fn pay_safe(&self, entered: &mut Entered<'_>) {
         if self.watch.takes_owed_safe() {
-            // Said in there, and there is nothing safer to do.
+            // A failure is reported in there, and there is nothing safer to do.
             let _ = self.make_safe(entered);
             self.publish_state(entered);
         }
     }
 
-    /// A thread of the device comes in; turned away while another one is inside, and while it is inside itself.
+    /// Lets a thread of the device in; refused while another one is inside, and while this one is inside
+    /// itself.
     pub(crate) fn callback_enter(&self) -> Outcome {
         if !self.is_active() {
             return NOT_ACTIVE;
@@ -342,14 +353,15 @@ impl Instance {
         let mut entered = self.object.try_enter();
         let overlaps = || self.watch.busy().is_some_and(|busy| busy.entry == Entry::Callback);
         if entered.is_none() && !overlaps() {
-            // A command or a control entry: it ends soon, and what the device brings is not lost for it.
+            // A command or a control entry is inside: it ends soon, and the device's data need not be lost
+            // for it.
             entered = self.object.enter_until(os::now_ns().saturating_add(self.patience_ns()));
         }
         let Some(mut entered) = entered else {
             self.counters.misuse(Misuse::Overlap);
             return WOULD_BLOCK;
         };
-        // It may have been stopped while this thread waited.
+        // The component may have been stopped while this thread waited.
         if !self.is_active() {
             drop(entered);
             self.left_by_device();
@@ -364,18 +376,19 @@ impl Instance {
             stepping: context::stepping(),
             watched: self.watch.begin(Entry::Callback, now_ns),
         });
-        // A callback is a step: waiting is not allowed in it, and whom it wakes is woken after it.
+        // A callback is a step: waiting is not allowed in it, and its wakes are issued after it.
         context::set_stepping(true);
         // Left again by `callback_leave`.
         let _stays_inside = std::mem::ManuallyDrop::new(entered);
         EXECUTED
     }
 
-    /// It leaves again: runs what was queued meanwhile, publishes, and wakes whom that concerns. Real-time.
+    /// Lets the device's thread leave: runs the entries queued meanwhile, publishes, and issues the wakes.
+    /// Real-time.
     pub(crate) fn callback_leave(&self) {
         let Some(entered) = self.object.adopt() else { return };
         let mut entered = std::mem::ManuallyDrop::new(entered);
-        // Inside by another way: a leave without its enter opens nothing.
+        // The thread is inside by another way: a leave without its enter opens nothing.
         let Some(outer) = entered.inner().in_callback.take() else { return };
         let mut entered = std::mem::ManuallyDrop::into_inner(entered);
         self.take_signal();
@@ -391,7 +404,8 @@ impl Instance {
         outer.resume(&self.host);
     }
 
-    /// What came after the drain, while its thread found somebody inside, is that thread's again.
+    /// Signals entries that came after the drain, while the component's thread found the device's thread
+    /// inside.
     fn left_by_device(&self) {
         // Changed and not only read: see `Mark`.
         if self.signalled.take() {

@@ -1,7 +1,7 @@
-//! How a component stands, and how the world hears of it: state, health, the system interface.
+//! State and health of a component, and how they are reported: news, events, the system interface.
 //!
-//! Invariant: every change of state or health is told once, as news to the managers and as an event to components; GetState
-//! is answered from a published row, so that asking costs a step nothing but a copy.
+//! Invariant: every change of state or health is reported once, as news to the managers and as an event to
+//! components; GetState is answered from a published row, so that a request costs a step nothing but a copy.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -18,22 +18,23 @@ use super::super::supervise::Moment;
 use super::super::{News, Report, context};
 use super::Instance;
 
-/// Warnings kept of one component; the oldest gives way.
+/// Most warnings kept of one component; the oldest gives way.
 const WARNINGS: usize = 16;
 
-/// How a required port came to be without a connection.
+/// Way in which a required port lost its connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Loss {
     Cut,
-    /// It was said that another one takes its place next.
+    /// Cut, and announced that another one takes its place next.
     Replaced,
     /// The process of the other end is gone, or does not answer any more.
     Peer,
 }
 
 impl Loss {
-    /// How long it may go on without one before it counts as lost, ns. Whoever cuts and connects in two requests has little
-    /// time; where the second half was announced, it may also fail and the former connection be put back before that is a loss.
+    /// Time a component may go on without the connection before it counts as lost, ns. A manager that cuts
+    /// and connects in two requests has little time; if the second half was announced, that half may also
+    /// fail and the former connection be put back before it is a loss.
     fn spared_ns(self) -> u64 {
         match self {
             Loss::Cut => 20_000_000,
@@ -44,22 +45,22 @@ impl Loss {
 }
 
 impl Instance {
-    /// Sets state and fault text, tells the world.
+    /// Sets state and fault text, and reports the change.
     pub(crate) fn set_state(&self, state: State, fault: &str) {
         let before = self.shut(state, fault);
         self.tell_change(before);
     }
 
-    /// Sets state and fault text without a word; answers how it stood, for [`Instance::tell_change`].
+    /// Sets state and fault text without a report; returns the former ones, for [`Instance::tell_change`].
     pub(crate) fn shut(&self, state: State, fault: &str) -> (State, String) {
-        // State and reason change together: whoever comes second writes both.
+        // State and reason change together: the second of two threads writes both.
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.gate.swap(pack(state), Ordering::SeqCst);
         self.show_standing();
         (unpack(before), std::mem::replace(&mut *text, fault.to_owned()))
     }
 
-    /// Tells the world where state or fault text are others than these.
+    /// Reports a change, if state or fault text differ from these.
     pub(super) fn tell_change(&self, (state, fault): (State, String)) {
         if self.state() != state {
             self.tell_standing();
@@ -71,7 +72,8 @@ impl Instance {
         }
     }
 
-    /// Its device did not come to its safe condition: kept with its state; what moves something, or panicked, is in FAULT.
+    /// Handles a device that did not get to its safe condition: the sentence is kept with its state; a
+    /// component that moves something, or panicked, is in FAULT.
     pub(crate) fn not_made_safe(&self, entry: &str, e: &EntryError) {
         let text = format!("{entry}: {}", e.text);
         self.say(log::Level::Error, &text);
@@ -86,7 +88,7 @@ impl Instance {
         }
     }
 
-    /// Sets the state when it is still `from`; tells the world and answers true if it was.
+    /// Sets the state if it is still `from`; reports the change and returns true if it was.
     pub(crate) fn set_state_from(&self, from: State, state: State, fault: &str) -> bool {
         let (from, to) = (pack(from), pack(state));
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
@@ -99,7 +101,7 @@ impl Instance {
         true
     }
 
-    /// Tells everyone how it stands now: row, event, news.
+    /// Reports the present state everywhere: row, event, news.
     fn tell_standing(&self) {
         self.publish_status();
         let mut row = [0u8; system::MAX_BYTES];
@@ -109,14 +111,15 @@ impl Instance {
     }
 
     fn tell_managers(&self) {
-        // Nobody listening is fine: the inventory has it.
+        // A failure is fine without listeners: the inventory has the state.
         let _ = self.hub.news.send(News::State(self.report(false)));
     }
 
     pub(crate) fn report(&self, with_ports: bool) -> Report {
-        // Before the look: whatever changes after it is in a report of a higher number.
+        // Counted before the look: a later change is in a report of a higher number.
         let number = self.hub.reports.fetch_add(1, Ordering::SeqCst) + 1;
-        // Read before the state: a warning tells of a change, and no report shows it beside the state before.
+        // Read before the state: a warning tells of a change, and no report may show it beside the state from
+        // before.
         let warnings = self.warnings();
         Report {
             id: self.id.clone(),
@@ -130,7 +133,7 @@ impl Instance {
         }
     }
 
-    /// Sets the health and, when it is another than before, tells the world; the watchdog's.
+    /// Sets the health and reports it if it changed. Watchdog only.
     pub(crate) fn set_health(&self, health: Health, why: &str) {
         if self.watch.set_health(health) == health {
             return;
@@ -158,7 +161,7 @@ impl Instance {
         true
     }
 
-    /// Says something about the component everywhere: log, `warning` event, with its state.
+    /// Reports a sentence about the component everywhere: log, `warning` event, with its state.
     pub(crate) fn warn(&self, text: &str) {
         self.say(log::Level::Warn, text);
         self.message(system::WARNING, text);
@@ -167,7 +170,7 @@ impl Instance {
         }
     }
 
-    /// As [`Instance::warn`] for what happens again and again: one sentence about it is kept, the newest.
+    /// As [`Instance::warn`] for repeated causes: only the newest sentence about each one is kept.
     pub(crate) fn warn_about(&self, about: &str, how: &str) {
         let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
         warnings.retain(|w| !w.starts_with(about));
@@ -176,13 +179,13 @@ impl Instance {
     }
 
     pub(crate) fn warnings(&self) -> Vec<String> {
-        // Asked each time: threads that help may still be settling.
+        // Read each time: helping threads may still be settling.
         let of_thread = self.thread.get().map_or_else(Vec::new, |settings| settings.warnings());
         let own = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
         of_thread.into_iter().chain(own.iter().cloned()).collect()
     }
 
-    /// The settings of its thread; once.
+    /// Sets the settings of its thread; once.
     pub(crate) fn set_thread(&self, settings: Arc<Settings>) {
         let _ = self.thread.set(settings);
     }
@@ -192,7 +195,8 @@ impl Instance {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Threads that came into being during one of its entries, with their names; `lasts`: and may live until `destroy`.
+    /// Notes threads, with their names, that appeared during one of its entries; `lasts`: they may live until
+    /// `destroy`.
     pub(crate) fn note_brood(&self, threads: impl Iterator<Item = (i32, String)>, lasts: bool) {
         let threads = threads.map(|(tid, name)| (tid, (name, lasts)));
         self.brood.lock().unwrap_or_else(PoisonError::into_inner).extend(threads);
@@ -203,13 +207,14 @@ impl Instance {
         brood.iter().map(|(tid, (name, _))| (*tid, name.clone())).collect()
     }
 
-    /// A thread of its own that may live until `destroy`.
+    /// Tells whether this is a thread of its own that may live until `destroy`.
     pub(crate) fn lasts(&self, tid: i32) -> bool {
         let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
         brood.get(&tid).is_some_and(|(_, lasts)| *lasts)
     }
 
-    /// Threads that were there before this cannot be its own. Told once.
+    /// Sets the moment before its code first ran: threads from before cannot be its own. Only the first call
+    /// counts.
     pub(crate) fn set_made(&self, before: Moment) {
         self.made.get_or_init(|| before);
     }
@@ -219,13 +224,13 @@ impl Instance {
         self.made.get().copied()
     }
 
-    /// A required port has a connection, again or at last.
+    /// Notes that a required port has a connection, again or for the first time.
     pub(crate) fn connected(&self, port: &str) {
         self.missing.lock().unwrap_or_else(PoisonError::into_inner).remove(port);
         self.hub.watch.notify();
     }
 
-    /// A required port lost its connection.
+    /// Notes that a required port lost its connection.
     pub(crate) fn disconnected(&self, port: &str, how: Loss) {
         let lost_ns = os::now_ns().saturating_add(how.spared_ns());
         let mut ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
@@ -235,7 +240,7 @@ impl Instance {
         self.hub.watch.notify();
     }
 
-    /// Required ports that lost their connection, and from when on each counts as lost, ns.
+    /// Required ports that lost their connection, and the time from which each counts as lost, ns.
     pub(crate) fn missing(&self) -> Vec<(String, u64)> {
         let ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
         ports.iter().map(|(port, lost_ns)| (port.clone(), *lost_ns)).collect()
@@ -268,11 +273,11 @@ impl Instance {
         }
     }
 
-    /// Publishes how it stands.
+    /// Publishes the present state.
     pub(super) fn publish_status(&self) {
         let mut row = [0u8; system::MAX_BYTES];
         let mut writer = self.status.lock().unwrap_or_else(PoisonError::into_inner);
-        // Read under the lock: the last one to publish has the newest.
+        // Read under the lock: the last thread to publish has the newest values.
         let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
         let (state, health) = (self.state().to_string(), self.watch.health().to_string());
         let stamp_ns = os::now_ns();
@@ -282,13 +287,13 @@ impl Instance {
         self.show_standing();
     }
 
-    /// The newest published status; answers its stamp. Real-time.
+    /// Copies the newest published status; returns its stamp. Real-time.
     fn read_status(&self, out: &mut [u8]) -> u64 {
         let Some(out) = out.get_mut(..system::MAX_BYTES) else { return 0 };
         if self.status_rows.latest(out).is_none() {
             return 0;
         }
-        // It still stands so: every change publishes a row.
+        // The status still holds: every change publishes a row.
         let stamp_ns = os::now_ns();
         out[..8].copy_from_slice(&stamp_ns.to_le_bytes());
         stamp_ns

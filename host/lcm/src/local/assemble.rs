@@ -1,6 +1,7 @@
 //! Making, configuring, running and removing one component.
 //!
-//! Invariant: no lock is held while component code runs or is waited for; what half exists after a refusal is taken back.
+//! Invariant: no lock is held while component code runs or is waited for; parts made before a refusal are
+//! removed again.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -26,20 +27,21 @@ fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refus
     Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why }
 }
 
-/// Refused while an end it requires has lost its connection: it would be stopped again as soon as that is seen.
+/// Refuses while a required port has lost its connection: the component would be stopped again as soon as
+/// that is seen.
 fn still_connected(instance: &Instance, verb: Verb) -> Result<(), Refusal> {
     let ports: Vec<String> = instance.missing().into_iter().map(|(port, _)| port).collect();
     if ports.is_empty() { Ok(()) } else { Err(Refusal::Unconnected { id: instance.id.clone(), verb, ports }) }
 }
 
-/// Longest wait for a component that is being removed, before its thread is left behind; and for one that is being stopped,
-/// from when it was found unresponsive.
+/// Longest wait for a component that is being removed, before its thread is left behind; and for one that is
+/// being stopped, from when it was found unresponsive.
 const HUNG: Duration = Duration::from_secs(1);
-/// Why one that is removed is not destroyed.
+/// Reason why a removed component is not destroyed.
 const STRAYS: &str = "threads of its own still run";
-/// Between two looks whether it still is.
+/// Time between two looks whether that still holds.
 const LOOK: Duration = Duration::from_millis(10);
-/// A moment on the monotonic clock that does not come, ns.
+/// A moment on the monotonic clock that never comes, ns.
 const NEVER_NS: u64 = u64::MAX / 4;
 
 impl LocalLcm {
@@ -118,7 +120,7 @@ impl LocalLcm {
             }
             Ok(Err((entry, e))) => {
                 self.abandon(&slot, executor.1);
-                // There is none that could be in FAULT; what panicked is told as everywhere.
+                // There is no component that could be in FAULT; a panic is reported as everywhere.
                 if e.panicked() {
                     return Err(component_error(&id, entry, e));
                 }
@@ -135,7 +137,7 @@ impl LocalLcm {
         self.hub.logs.name(slot.instance.number, None);
         self.roster.remove(slot.instance.number);
         let instance = slot.instance.clone();
-        // A create that comes back after its caller gave up leaves nothing behind.
+        // A create that returns after its caller gave up leaves nothing behind.
         slot.executor.submit(move |_| {
             if let Some(mut entered) = instance.object.try_enter() {
                 instance.destroy(&mut entered);
@@ -179,14 +181,14 @@ impl LocalLcm {
     ) -> Result<Report, Refusal> {
         let slot = self.slot(id)?;
         if to_state == State::Created {
-            // The undoing of a Create takes its configuration back; the instance goes next.
+            // The undoing of a Create reverts the configuration; the instance is removed next.
             slot.instance.set_state_from(State::Ready, State::Created, "");
             return Ok(slot.instance.report(true));
         }
         let json = to.to_string();
         let (given, before, former) = (json.clone(), slot.config.clone(), slot.config.clone());
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
-            // It may have failed, or have been stopped, while this waited for its turn.
+            // The component may have failed, or have been stopped, while this waited for its turn.
             let stands = instance.state();
             let fits = stands == from_state && stands != State::Fault;
             (stands, fits.then(|| configure(instance, entered, &given, former.as_deref(), to_state)))
@@ -221,7 +223,7 @@ impl LocalLcm {
         let config = slot.config.clone();
         let entry = match verb {
             Verb::Stop => {
-                // It does not go on by itself any more.
+                // The component does not go on by itself any more.
                 let (from, to) =
                     (State::Stopped(StopReason::Restarted), State::Stopped(StopReason::Requested));
                 slot.instance.set_state_from(from, to, "");
@@ -244,7 +246,7 @@ impl LocalLcm {
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             let from = instance.state();
             let done = match verb {
-                // It failed while this waited for its turn.
+                // The component failed while this waited for its turn.
                 Verb::Start | Verb::Resume if from == State::Fault => return (from, None),
                 Verb::Start => start(instance, entered),
                 Verb::Resume => resume(instance, entered),
@@ -258,7 +260,7 @@ impl LocalLcm {
                          (from, done): (State, Option<Done>)| match verb {
             _ if done.is_none() => {}
             Verb::Start | Verb::Resume => undo_start(instance, entered, from),
-            // There is no way back to the instance that was; the new one stands still, and that was told.
+            // There is no way back to the former instance; the new one does not run, and that was reported.
             _ => tell_ports(instance),
         };
         let (stands, done) = self.inside_or(&slot, entry, deadline, work, undo).await?;
@@ -266,7 +268,7 @@ impl LocalLcm {
             return Err(wrong_state(id, stands, verb, "it failed before this came to its turn".into()));
         };
         match done {
-            // Stopped again at once: nobody may be told that it runs.
+            // The component was stopped again at once: no caller may be told that it runs.
             Ok(()) if moves && slot.instance.state() == State::Stopped(StopReason::PeerLost) => {
                 still_connected(&slot.instance, verb)?;
                 let why = "what it requires went away while it was being set in motion".to_owned();
@@ -285,7 +287,7 @@ impl LocalLcm {
         }
     }
 
-    /// A warning that Reset keeps the code of the Create, where the plugin's file is another one by now.
+    /// A warning that Reset keeps the code of the Create, if the plugin's file has changed since.
     fn other_code(&self, instance: &Instance) -> Option<String> {
         let (info, id) = (&instance.info, &instance.id);
         let classes = self.classes.as_ref()?.catalog();
@@ -309,12 +311,12 @@ impl LocalLcm {
         if slot.instance.is_active() {
             slot.instance.stopped(StopReason::Requested);
         }
-        // At once: its thread may be inside somebody else, and nothing that waits will be run any more.
+        // Done at once: its thread may be inside another component, and no waiting call will be run any more.
         slot.instance.refuse_queued(slot.instance.turned_away());
         let work = |instance: &Instance, entered: &mut Entered<'_>| match instance.state() {
-            // Never started, or a start that came too late was taken back.
+            // Never started, or a start that came too late was reverted.
             State::Created | State::Ready => Ok(()),
-            // At the end of a host all are stopped: what one does when it stops, it does not do again.
+            // At the end of a host all are stopped: a component that has stopped already does not stop again.
             State::Stopped(_) if !entered.inner().to_stop => Ok(()),
             _ => stop(instance, entered),
         };
@@ -340,7 +342,7 @@ impl LocalLcm {
         }
     }
 
-    /// In whose code the thread of a component is that does not come back.
+    /// Names the component whose code does not return and holds this one's thread.
     fn held_by(&self, slot: &Slot) -> String {
         match (self.holder_of(slot), slot.instance.watch.busy()) {
             (Some(id), _) => format!("the code of {id}"),
@@ -349,7 +351,7 @@ impl LocalLcm {
         }
     }
 
-    /// Another component whose code has this one's thread now.
+    /// Another component whose code runs on this one's thread now.
     fn holder_of(&self, slot: &Slot) -> Option<ComponentId> {
         let held = self.held();
         let mut others = held.components.values().filter(|s| s.executor.id == slot.executor.id);
@@ -359,7 +361,7 @@ impl LocalLcm {
         others.find(|s| s.instance.watch.busy().is_some()).map(|s| s.instance.id.clone())
     }
 
-    /// What to say of threads that a removed component left running, after some time to end.
+    /// Warning about threads that a removed component left running, after some time to end.
     async fn leftovers(&self, slot: &Slot) -> Option<String> {
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
         let until = Instant::now() + Duration::from_nanos(LEAVE_NS);
@@ -381,7 +383,7 @@ impl LocalLcm {
         }
     }
 
-    /// Nobody else runs on its thread.
+    /// Tells whether no other component runs on its thread.
     fn is_alone(&self, slot: &Slot) -> bool {
         self.held().components.values().filter(|s| s.executor.id == slot.executor.id).count() == 1
     }
@@ -394,11 +396,11 @@ impl LocalLcm {
         let number = slot.instance.number;
         let (tell, told) = oneshot::channel();
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        // Done whenever its thread comes to it, also long after its remover has given up.
+        // Done whenever its thread comes to it, also long after the remover has given up.
         slot.executor.submit(move |crew| {
             crew.members.retain(|m| m.instance.number != number);
             end(&ward, crew.members.is_empty());
-            // Else its remover looks for them, and gives them time to end.
+            // Otherwise the remover looks for such threads, and gives them time to end.
             let late = tell.send(()).is_err();
             if late && !Strangers::look().left_behind(&ward).is_empty() {
                 ward.instance.hub.bury(ward.instance.clone(), STRAYS);
@@ -420,14 +422,14 @@ impl LocalLcm {
         }
         slot.instance.look_at_ports();
         if done && let Some(left) = self.leftovers(&slot).await {
-            // They may hold what the host gave it.
+            // These threads may hold what the host gave the component.
             self.hub.bury(slot.instance, STRAYS);
             report.warnings.push(left);
         }
         Ok(report)
     }
 
-    /// A component that is removed although its thread does not come back; what is to be said of that.
+    /// Removes a component although its thread does not return; returns the warning about it.
     fn leave_behind(&self, slot: &Slot) -> String {
         let (instance, id) = (&slot.instance, &slot.instance.id);
         let why = format!("its thread has not come back out of {}", self.held_by(slot));
@@ -441,7 +443,7 @@ impl LocalLcm {
     }
 }
 
-/// Ends when it has been unresponsive for so long that nobody should wait for it any more.
+/// Ends when the component has been unresponsive for so long that no caller should wait for it any more.
 async fn hangs(slot: &Slot) {
     let mut since = None;
     loop {
@@ -454,7 +456,8 @@ async fn hangs(slot: &Slot) {
     }
 }
 
-/// Threads that use the instance still run after it was stopped, and some time to end where nobody else waits for this one.
+/// Tells whether threads that use the instance still run after the stop; they get some time to end if no
+/// other component waits for this thread.
 fn outlasts(ward: &Ward, alone: bool) -> bool {
     let until = Instant::now() + Duration::from_nanos(if alone { LEAVE_NS } else { 0 });
     while Strangers::look().outlast_stop(ward) {
@@ -466,21 +469,22 @@ fn outlasts(ward: &Ward, alone: bool) -> bool {
     false
 }
 
-/// Stops and destroys one that is removed, on its own thread; one whose threads still run is not destroyed but kept. `alone`:
-/// nobody else runs there.
+/// Stops and destroys a removed component, on its own thread; one whose threads still run is not destroyed
+/// but kept. `alone`: no other component runs there.
 fn end(ward: &Ward, alone: bool) {
     let instance = &ward.instance;
-    // A caller's thread, or one of its device, may be inside. Others on this thread are not to wait for that for ever.
+    // A caller's thread, or one of its device, may be inside. Others on this thread must not wait for that
+    // for ever.
     let until_ns = if alone { NEVER_NS } else { os::now_ns() + HUNG.as_nanos() as u64 };
     let Some(mut entered) = instance.object.enter_until(until_ns) else {
-        instance.hub.bury(instance.clone(), "somebody has not come back out of it");
+        instance.hub.bury(instance.clone(), "another thread has not come back out of it");
         return;
     };
     let manners = Manners::before(instance);
     instance.as_running(Entry::Destroy, || {
         if instance.is_active() {
             instance.stopped(StopReason::Requested);
-            // It goes away either way; the reason was logged.
+            // The component is removed either way; the reason was logged.
             let _ = stop(instance, &mut entered);
         }
         instance.pay_safe(&mut entered);
@@ -488,11 +492,12 @@ fn end(ward: &Ward, alone: bool) {
         if outlasts(ward, alone) {
             instance.hub.bury(instance.clone(), STRAYS);
         } else if instance.destroy(&mut entered) {
-            // Another's cycle that hangs keeps this one's slots for long; it must not keep frames of others.
+            // A hanging cycle of another component may keep these slots for long; it must not keep frames of
+            // others.
             instance.described.all_slots().iter().for_each(|slots| slots.let_go_of_inputs());
         }
     });
     manners.after(instance, Entry::Destroy);
-    // Whoever queued something meanwhile is answered.
+    // Calls queued meanwhile are answered.
     instance.leave(entered);
 }

@@ -1,4 +1,4 @@
-//! What Describe shows of one component: its timing, its counters, its thread.
+//! Figures of one component for Describe: its timing, its counters, its thread.
 //!
 //! Invariant: reads counters only; never enters the component.
 
@@ -11,7 +11,7 @@ fn note(slot: &Slot) -> Option<String> {
     Some(format!("phase: {note}"))
 }
 
-/// `around`: whether the one it runs inside of, if any, is ACTIVE.
+/// `around`: whether the component it runs inside of, if any, is ACTIVE.
 pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
     let s = slot.instance.stats.snapshot();
     let spread = |m: trocar_rt::timing::Spread| Spread {

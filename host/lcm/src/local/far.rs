@@ -1,6 +1,7 @@
-//! Connections of which one end is in another process.
+//! Connections with one end in another process.
 //!
-//! Invariant: the half stands in `Far` as long as the GCM wants the connection; whether it is linked is the two LCMs' own business.
+//! Invariant: the half stays in `Far` as long as the GCM wants the connection; the two LCMs alone decide
+//! whether it is linked.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -17,7 +18,7 @@ use super::super::far::{Kin, Role};
 use super::super::instance::Loss;
 use super::LocalLcm;
 
-/// The answer of a link that is not there in time leaves this much for its way back.
+/// Time left before the deadline for the answer about a link that is not ready.
 const WAY: Duration = Duration::from_millis(20);
 
 impl LocalLcm {
@@ -72,7 +73,7 @@ impl LocalLcm {
         Ok(report)
     }
 
-    /// How a client finds the class of its server in this process.
+    /// Way for a client to find the class of its server in this process.
     fn kin(&self, role: Role, of: ClassOf) -> Kin {
         match (role, self.classes.clone()) {
             (Role::Client, Some(classes)) => Box::new(move || {
@@ -83,12 +84,13 @@ impl LocalLcm {
         }
     }
 
-    /// The half of a connection goes; the client's or server's report, `None` when there is none.
+    /// Removes the half of a connection; returns the client's or server's report, `None` when there is no
+    /// half.
     pub(super) async fn unlink_far(&self, connection: u64, how: Loss) -> Option<Report> {
         let (tell, told) = oneshot::channel();
         let has = self.carriers.halves().find(|halves| halves.connections().contains(&connection))?;
         let instance = has.remove(connection, how, tell)?;
-        // The thread that does it has ended: so have all halves.
+        // A failure means that the thread for it has ended, and all halves with it.
         let _ = told.await;
         Some(instance.report(false))
     }

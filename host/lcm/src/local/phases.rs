@@ -1,4 +1,4 @@
-//! The places in their periods at which the components of this process step, as the GCM gives them.
+//! The phases at which the components of this process step, as the GCM gives them.
 //!
 //! Invariant: a phase that was asked for is kept; a thread moves its own grid, by a job between two cycles.
 
@@ -7,11 +7,12 @@ use trocar_model::{ComponentId, Phase, StepTimes};
 use super::super::executor::Pace;
 use super::{Held, LocalLcm, Slot};
 
-/// Steps after which the figures of a component tell what they take: the first ones are slow.
+/// Number of steps after which the figures of a component are meaningful: the first ones are slow.
 const TELLING: u64 = 500;
-/// Steps lie within so many standard deviations of their mean, but for rare ones.
+/// Steps lie within so many standard deviations of their mean, except rare ones.
 const DEVIATIONS: f64 = 2.0;
-/// Steps that take longer than so many times their mean were interrupted, which says nothing of the next ones.
+/// A step that takes longer than so many times the mean was interrupted, which says nothing about the next
+/// ones.
 const TIMES: f64 = 4.0;
 
 impl LocalLcm {
@@ -29,7 +30,7 @@ impl LocalLcm {
 }
 
 impl Slot {
-    /// Its thread is its own, and steps on a grid.
+    /// Tells whether its thread is its own, and steps on a grid.
     pub(super) fn has_own_grid(&self) -> bool {
         let own = self.execution.stream_of.is_none() && self.execution.inside.is_none();
         own && matches!(self.executor.pace, Pace::Grid { .. })

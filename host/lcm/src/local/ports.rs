@@ -1,7 +1,8 @@
-//! Ports that change while their component lives: who asked for it, what hung on those that went, what queues lost.
+//! Ports that change while their component lives: descriptions on request, connections of lost ports, losses
+//! of queues.
 //!
-//! Invariant: the component's own thread describes and binds; this one only asks for it, cuts and tells. It waits for no
-//! component.
+//! Invariant: the component's own thread describes and binds; this one only asks for it, cuts and reports. It
+//! waits for no component.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,11 +19,11 @@ use super::super::supervise::Entry;
 use super::super::{News, dynamic};
 use super::LocalLcm;
 
-/// How often queues are looked at for losses nobody was told of, ns.
+/// Time between looks at queues for unreported losses, ns.
 const LOOK_NS: u64 = 1_000_000_000;
-/// As above while something that was cut is still looked at by a cycle under way, ns.
+/// As above while a cycle under way still looks at cut wires, ns.
 const SOON_NS: u64 = 10_000_000;
-/// How long a job waits for whoever is inside a component that runs in others' threads, ns.
+/// Longest wait of a job for a caller inside a component that runs in others' threads, ns.
 const PATIENCE_NS: u64 = 1_000_000_000;
 
 /// The thread that follows changing ports.
@@ -33,7 +34,7 @@ pub(crate) struct Follower {
 }
 
 impl Follower {
-    /// `waker`: notified by whoever wants a look.
+    /// `waker`: notified to request a look.
     pub(crate) fn new(waker: Arc<Waker>) -> Follower {
         Follower { waker, closing: Arc::new(AtomicBool::new(false)), thread: Mutex::new(None) }
     }
@@ -67,8 +68,8 @@ impl Follower {
 }
 
 impl LocalLcm {
-    /// One look: asks for descriptions, cuts what hung on ports that went, tells losses, drops what was cut before, tends carriers.
-    /// True while some of that is still in use.
+    /// Looks once: asks for descriptions, cuts the connections of lost ports, reports losses, drops what was
+    /// cut before, tends carriers. True while some of that is still in use.
     fn follow_ports(&self) -> bool {
         let mut in_use = 0;
         let now_ns = os::now_ns();
@@ -82,7 +83,7 @@ impl LocalLcm {
             if instance.described.changed_by_itself() {
                 let lost_connections = self.cut_lost(&instance);
                 let report = super::super::Report { lost_connections, ..instance.report(true) };
-                // Nobody listening is fine: the inventory has it.
+                // A failure is fine without listeners: the inventory has the report.
                 let _ = self.hub.news.send(News::State(report));
             }
             self.lock_pools(&instance);
@@ -94,8 +95,8 @@ impl LocalLcm {
         self.carriers.tend() || in_use > 0
     }
 
-    /// Drops what removed components and their remains hold of others where no cycle looks at it any more;
-    /// in how many one does.
+    /// Drops what removed components and their remains hold of others, if no cycle looks at it any more;
+    /// returns the number of those where one does.
     fn reclaim_left(&self) -> usize {
         self.reclaim_leaving() + self.hub.remains.reclaim()
     }
@@ -104,13 +105,13 @@ impl LocalLcm {
         let leaving = self.held().leaving.clone();
         let left: Vec<_> = leaving.into_iter().filter(|instance| instance.reclaim() == 0).collect();
         let mut held = self.held();
-        // They stay in the list while they are looked at: whoever looks beside this one finds them as well.
+        // They stay in the list during the look: a second thread that looks finds them as well.
         held.leaving.retain(|instance| !left.iter().any(|l| Arc::ptr_eq(l, instance)));
         held.leaving.len()
     }
 
-    /// Waits until then for the cycles that may still look at what was cut. Nobody comes by later: two components that were
-    /// connected to each other would keep each other for ever.
+    /// Waits until then for the cycles that may still look at cut wires. No later look follows: two
+    /// components that were connected to each other would keep each other for ever.
     pub(super) async fn drop_left(&self, until: Instant) {
         loop {
             match self.reclaim_left() {
@@ -129,14 +130,14 @@ impl LocalLcm {
         !self.follower.closing.load(Ordering::Acquire)
     }
 
-    /// Locks frame pools into memory where the process asked for it and is not locked as a whole.
+    /// Locks frame pools into memory if the process asked for it and is not locked as a whole.
     pub(super) fn lock_pools(&self, instance: &Instance) {
         if self.memory.is_in_pieces() {
             instance.lock_pools();
         }
     }
 
-    /// Cuts what hung on ports that went since the last time; the numbers of those connections. Of an interface that only
+    /// Cuts the connections of ports lost since the last call; returns their numbers. If an interface only
     /// has other members than before, those connections stay whose own members have all stayed.
     pub(super) fn cut_lost(&self, instance: &Instance) -> Vec<u64> {
         let lost = instance.described.take_lost();
@@ -156,7 +157,7 @@ impl LocalLcm {
     }
 }
 
-/// Names a queue that was full at both its ends.
+/// Warns both ends of a queue that was full.
 fn tell_full(to: &Instance, inbox: &Inbox) {
     let ((from, name), lost) = (inbox.sender(), inbox.losses());
     let (what, why) = match inbox.events {
@@ -170,11 +171,11 @@ fn tell_full(to: &Instance, inbox: &Inbox) {
     }
 }
 
-/// Describes and binds anew on the component's own thread, then lets the follower see what came of it.
+/// Describes and binds anew on the component's own thread, then wakes the follower for the outcome.
 fn redescribe(instance: &Instance) {
     match instance.object.enter_until(os::now_ns() + PATIENCE_NS) {
         None => instance.described.wish(),
-        // What failed is described anew by Reset, what goes is not any more.
+        // Reset describes a failed component anew; a removed one is not described any more.
         Some(_) if instance.is_closed() || instance.state() == State::Fault => {}
         Some(mut entered) => {
             let done = instance.as_running(Entry::Configure, || dynamic::describe(instance, &mut entered));

@@ -1,7 +1,7 @@
 //! Connections of this process: making them, cutting them, and the order they give to a shared thread.
 //!
-//! Invariant: what changes a running stream takes effect between two of its cycles; what a cut leaves unconnected is noted,
-//! and the watchdog does what follows from it.
+//! Invariant: changes of a running stream take effect between two of its cycles; ports that a cut leaves
+//! unconnected are noted, and the watchdog handles them.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -40,7 +40,8 @@ impl LocalLcm {
         Ok(report)
     }
 
-    /// Cuts a connection between two cycles of the thread its ends share, if they do. `replaced`: another one is made next.
+    /// Cuts a connection between two cycles of the thread its ends share, if they do. `replaced`: another one
+    /// is made next.
     pub(super) async fn unwire(&self, id: u64, replaced: bool, deadline: Instant) -> Option<Arc<Wired>> {
         let wired = self.held().links.remove(&id)?;
         match (self.slot(&wired.client.id), self.slot(&wired.server.id)) {
@@ -62,7 +63,7 @@ impl LocalLcm {
         Some(wired)
     }
 
-    /// What follows from a cut: the watchdog sees that something is missing.
+    /// Handles the results of a cut: the watchdog sees that a connection is missing.
     fn loosened(&self, wired: &Wired, how: Loss) {
         if let Ok(client) = self.slot(&wired.client.id) {
             if wired.required {
@@ -96,8 +97,8 @@ impl LocalLcm {
     }
 }
 
-/// Runs `f` between two cycles of the thread both ends share, so that no cycle sees half of it; here, when they share none or
-/// when that thread does not come to it in time.
+/// Runs `f` between two cycles of the thread both ends share, so that no cycle sees half of it. Runs it on
+/// this thread if they share none, or if that thread does not come to it in time.
 async fn between_cycles<R: Send + 'static>(
     client: &Slot,
     server: &Slot,
@@ -122,7 +123,7 @@ async fn between_cycles<R: Send + 'static>(
         if let Ok(Ok(result)) = tokio::time::timeout_at(until.into(), told.as_mut()).await {
             return result;
         }
-        // Not begun: done here. Begun: it is no component's code, so it ends soon.
+        // If `f` has not begun, it is done here. If it has, it ends soon: it is no component's code.
         if let Some(f) = take(&work) {
             return f();
         }

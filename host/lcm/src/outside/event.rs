@@ -1,4 +1,4 @@
-//! An event as all who look from outside hear it: one queue, emptied for everybody.
+//! An event for all listeners outside: one queue, emptied for everybody.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -16,32 +16,32 @@ use super::{misfit, wrong_kind};
 
 /// Events that may wait between two looks.
 const DEPTH: usize = 256;
-/// Events that may wait for one who reads slowly.
+/// Events that may wait for a slow listener.
 const WAITING: usize = 1024;
 /// Time between two looks at the queue.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// One who listens to an event.
+/// A listener to an event.
 pub(super) struct Event {
     told: broadcast::Receiver<Option<Arc<Heard>>>,
-    /// Numbers of the event before its first one, and before the next one.
+    /// Numbers of the event before the listener's first one, and before its next one.
     first: u64,
     last: u64,
-    /// It had come to its end before this one listened.
+    /// True when the event had ended before this listener came.
     is_over: bool,
-    /// Keeps it going.
+    /// Keeps the shared event open.
     _shared: Arc<SharedEvent>,
 }
 
 /// An event that was sent.
 pub(super) struct Heard {
-    /// Counts those that were lost in the queue, too.
+    /// Counts events that were lost in the queue, too.
     number: u64,
     pub(super) value: Value,
     pub(super) stamp_ns: u64,
 }
 
-/// The event, queued once for all who listen to it; the queue goes with the last of them.
+/// The event, queued once for all listeners; the queue ends with the last of them.
 pub(super) struct SharedEvent {
     instance: Arc<Instance>,
     member: MemberId,
@@ -50,7 +50,7 @@ pub(super) struct SharedEvent {
     tap: Arc<Tap>,
     sink: Arc<EventSink>,
     drained: Mutex<Drained>,
-    /// `None`: nothing more comes.
+    /// `None`: no more events come.
     tell: broadcast::Sender<Option<Arc<Heard>>>,
     over: AtomicBool,
 }
@@ -59,7 +59,7 @@ pub(super) struct SharedEvent {
 struct Drained {
     number: u64,
     dropped: u64,
-    /// A payload that does not fit was told of.
+    /// True once a payload that does not fit was reported.
     warned: bool,
 }
 
@@ -74,8 +74,8 @@ impl Event {
         Ok(Event { told, first, last: first, is_over, _shared: shared })
     }
 
-    /// The next event, its number since this one listens, and how many were left out before it; `None` when
-    /// nothing more can come. Given up in the middle, it loses none.
+    /// The next event, its number since this listener came, and how many were left out before it; `None` when
+    /// no more can come. Cancelling the future loses no event.
     pub(super) async fn next(&mut self) -> Option<(Arc<Heard>, u64, u64)> {
         while !self.is_over {
             match self.told.recv().await {
@@ -85,7 +85,7 @@ impl Event {
                     return Some((heard, seq, skipped));
                 }
                 Ok(None) | Err(broadcast::error::RecvError::Closed) => self.is_over = true,
-                // The next number says how many.
+                // The next number shows how many were lost.
                 Err(broadcast::error::RecvError::Lagged(_)) => {}
             }
         }
@@ -114,14 +114,15 @@ impl SharedEvent {
         Ok(shared)
     }
 
-    /// The events from now on, after the one of this number.
+    /// Returns the number of the last event so far, and a receiver of all later ones.
     fn listen(&self) -> (u64, broadcast::Receiver<Option<Arc<Heard>>>) {
         let mut drained = self.drained.lock().unwrap_or_else(PoisonError::into_inner);
         self.empty(&mut drained);
         (drained.number, self.tell.subscribe())
     }
 
-    /// Nothing more can come: the component is gone or made anew, or described itself without this event.
+    /// Tells whether no more events can come: the component is gone or made anew, or described itself without
+    /// this event.
     fn is_over(&self) -> bool {
         self.over.load(Ordering::Acquire)
             || self.instance.is_closed()
@@ -148,7 +149,7 @@ impl SharedEvent {
                 None => Value::Null,
             };
             let heard = Heard { number: drained.number, value, stamp_ns: head.stamp_ns };
-            // Nobody may listen just now.
+            // A failure is fine without listeners.
             let _ = self.tell.send(Some(Arc::new(heard)));
         };
         self.tap.mailbox.drain(tell, |_| ());
@@ -162,12 +163,12 @@ impl Drop for SharedEvent {
     }
 }
 
-/// Empties the queue of an event as long as somebody listens.
+/// Empties the queue of an event as long as there are listeners.
 async fn keep_draining(shared: Weak<SharedEvent>) {
     loop {
         tokio::time::sleep(LOOK).await;
         let Some(shared) = shared.upgrade() else { return };
-        // Asked first: what it sent before its end is still given.
+        // Read before the drain: events from before the end are still given.
         let is_over = shared.is_over();
         shared.drain();
         if is_over {
@@ -178,7 +179,7 @@ async fn keep_draining(shared: Weak<SharedEvent>) {
     }
 }
 
-/// The cell an event is sent from now, and the type of its payload.
+/// The cell from which the event is sent now, and the type of its payload.
 fn event_of(instance: &Instance, member: &MemberId) -> Result<(Arc<EventCell>, Option<Type>), Refusal> {
     let set = instance.described.now();
     let ports = &set.ports;
@@ -189,7 +190,8 @@ fn event_of(instance: &Instance, member: &MemberId) -> Result<(Arc<EventCell>, O
             known: ports.provided.iter().map(|p| p.name.clone()).collect(),
         });
     };
-    // One name may be both: the read `operating_state` of an arm tells what its event of that name told last.
+    // An event and a command may share a name: the read `operating_state` of an arm returns the payload of
+    // the last event of that name.
     let events = &ports.provided[interface].events;
     let Some(i) = events.iter().position(|e| e.name == member.member.as_str()) else {
         let commands = &ports.provided[interface].commands;

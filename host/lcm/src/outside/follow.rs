@@ -16,23 +16,23 @@ use super::super::local::LocalLcm;
 use super::event::Event;
 use super::output::{Output, Want};
 
-/// Items a slow receiver may have waiting.
+/// Most items that wait for a slow receiver.
 const ITEMS: usize = 256;
-/// Items per second of an output when nothing else is asked.
+/// Items per second of an output when no rate is asked for.
 const DEFAULT_RATE_HZ: f64 = 30.0;
-/// Longest pause between looks at an output that has given nothing new, whatever the rate.
+/// Longest pause between looks at an output without new samples, whatever the rate.
 const LONGEST_PAUSE: Duration = Duration::from_millis(33);
-/// Pictures per second of one output, Hz: nobody sees more.
+/// Most pictures per second of one output, Hz: the eye sees no more.
 const MOST_PICTURES_HZ: f64 = 60.0;
 
-/// The thing that one selection follows.
+/// Source of the items of one selection.
 enum Feed {
     State {
         instance: Arc<Instance>,
         news: broadcast::Receiver<News>,
     },
     Event(Event),
-    /// With how often it is looked at.
+    /// An output, and the rate at which it is looked at.
     Output(Output, RateLimit),
 }
 
@@ -76,7 +76,7 @@ fn open(lcm: &LocalLcm, selection: &Selection) -> Result<Feed, Refusal> {
     }
 }
 
-/// Hands items to the receiver; what a full channel cannot take is counted into the next one.
+/// Hands items to the receiver; items that a full channel cannot take are counted in the next one.
 struct Teller {
     path: String,
     tell: mpsc::Sender<Item>,
@@ -102,7 +102,7 @@ impl Teller {
 }
 
 async fn follow_state(teller: Teller, instance: Arc<Instance>, mut news: broadcast::Receiver<News>) {
-    // The present state first: whoever has it knows that nothing after it is missed.
+    // The present state comes first: a receiver that has it misses nothing after it.
     teller.give(standing(&instance.report(false)));
     loop {
         tokio::select! {

@@ -1,8 +1,8 @@
-//! The view from outside: a state row or an output read once, events, states and outputs followed.
+//! The view from outside: a state row or an output read once; events, states and outputs followed.
 //!
-//! Invariant: costs the component one push into a bounded queue for each output and event that anybody looks
-//! at, one more where frames are wanted as well, however many look; whoever reads too slowly loses items,
-//! counted.
+//! Invariant: costs the component one push into a bounded queue for each output and event with readers
+//! outside, and one more where frames are wanted as well, however many readers there are; a slow reader loses
+//! items, counted.
 
 mod event;
 mod follow;
@@ -18,14 +18,14 @@ pub(super) use follow::subscribe;
 pub(super) use read::read;
 use shared::Shared;
 
-/// Everything that somebody outside looks at now.
+/// All outputs and events with readers outside.
 #[derive(Default)]
 pub(super) struct Outside {
     outputs: Shared<(u32, String, bool), output::SharedOutput>,
     events: Shared<(u32, MemberId), event::SharedEvent>,
 }
 
-/// The bytes of a value come from the plugin, and so does what is wrong with them.
+/// Sentence about a value that does not fit: its bytes come from the plugin, and so does the error.
 pub(super) fn misfit(instance: &Instance, e: &ValueError) -> String {
     format!("its class {} made a value that does not fit the type: {e}", instance.info.full_name())
 }

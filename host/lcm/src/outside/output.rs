@@ -1,4 +1,4 @@
-//! An output as all who look from outside see it: one reader, whose samples they share.
+//! An output for all readers outside: one reader, whose samples they share.
 //!
 //! Invariant: a frame is held only while it is copied or scaled, for all who want it; never by a thread that
 //! steps.
@@ -21,12 +21,13 @@ use super::super::local::LocalLcm;
 use super::super::thumbnail;
 use super::shown;
 
-/// Most bytes of a frame that are handed out: a message of the GCM holds some more.
+/// Most bytes of a frame that are handed out: a message of the GCM holds somewhat more.
 const MOST_FRAME_BYTES: usize = 24 << 20;
-/// Outputs whose pictures are made at once: a page full of them takes no more of the machine than this.
+/// Limits the outputs whose pictures are made at once: a page full of them takes no more of the machine than
+/// this.
 static MAKING: Semaphore = Semaphore::const_new(2);
 
-/// A part of a sample that somebody wants.
+/// Part of a sample that a reader wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Want {
     Value,
@@ -36,19 +37,19 @@ pub(super) enum Want {
     Frame,
 }
 
-/// One who looks at an output.
+/// A reader of an output.
 pub(super) struct Output {
     shared: Arc<SharedOutput>,
     want: Want,
-    /// Number of the last sample that was written before it looked on.
+    /// Number of the last sample written before this reader came.
     before_seq: u64,
-    /// Numbers of the last sample it was given, at the reader and at the output; 0 = none yet.
+    /// Numbers of the last sample given to this reader, at the shared reader and at the output; 0 = none yet.
     look: u64,
     last_seq: u64,
 }
 
-/// The output, read once for all who look at it. Those who want frames have a reader of their own, which is
-/// looked at by their rates alone.
+/// The output, read once for all readers outside. Readers that want frames share a link of their own, which
+/// is read at their rates alone.
 pub(super) struct SharedOutput {
     pub(super) instance: Arc<Instance>,
     /// Name of the port.
@@ -57,7 +58,7 @@ pub(super) struct SharedOutput {
     ty: Type,
     link: Arc<OutLink>,
     of_frames: bool,
-    /// Parts of each sample that are wanted, and by how many.
+    /// Wanted parts of each sample, and the number of readers for each.
     wants: Mutex<BTreeMap<Want, usize>>,
     reader: Arc<tokio::sync::Mutex<Reader>>,
 }
@@ -75,9 +76,9 @@ pub(super) struct Shown {
     pub(super) value: Result<Value, Refusal>,
     encoded: Vec<u8>,
     pub(super) frame_bytes: u64,
-    /// There if somebody wanted it.
+    /// Present if a reader wanted it.
     frame: Option<Vec<u8>>,
-    /// JPEGs by their width, where somebody wanted one; empty where the frame is no image.
+    /// JPEGs by their width, if a reader wanted one; empty where the frame is no image.
     pictures: BTreeMap<u32, Vec<u8>>,
 }
 
@@ -105,8 +106,8 @@ impl Output {
         &self.shared
     }
 
-    /// The newest sample it was not given yet, and how many were left out before it. `None` when the process
-    /// ends.
+    /// The newest sample that this reader was not given yet, and how many were left out before it. `None`
+    /// when the process ends.
     pub(super) async fn newest(&mut self) -> Option<Option<(Arc<Shown>, u64)>> {
         let newest = self.shared.look().await?;
         let is_new = |shown: &Arc<Shown>| {
@@ -115,13 +116,13 @@ impl Output {
         Some(newest.filter(is_new).map(|shown| {
             let before = std::mem::replace(&mut self.last_seq, shown.meta.seq);
             self.look = shown.look;
-            // Numbers stand still where a component writes from two threads at once.
+            // Numbers do not advance where a component writes from two threads at once.
             let skipped = if before == 0 { 0 } else { shown.meta.seq.saturating_sub(before + 1) };
             (shown, skipped)
         }))
     }
 
-    /// The picture that is wanted of a sample; empty where none is, or it is no image.
+    /// The wanted picture of a sample; empty if none is wanted, or if it is no image.
     pub(super) fn picture(&self, shown: &Shown) -> Vec<u8> {
         match self.want {
             Want::Picture(width) => shown.pictures.get(&width).cloned().unwrap_or_default(),
@@ -165,8 +166,8 @@ impl SharedOutput {
         self.wants.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The newest sample that anybody has looked at. Pictures are made on a thread for such work: they take
-    /// milliseconds, and other followers share this one. `None` when the process ends.
+    /// The newest sample that any reader has looked at. Pictures are made on a thread for such work: they
+    /// take milliseconds, and other followers share this one. `None` when the process ends.
     async fn look(self: &Arc<Self>) -> Option<Option<Arc<Shown>>> {
         let mut reader = self.reader.clone().lock_owned().await;
         if !reader.stream.latest().is_some_and(|sample| sample.fresh) {
@@ -189,7 +190,7 @@ impl Drop for SharedOutput {
 }
 
 impl Reader {
-    /// Takes the sample that has come, with all that anybody wants of it.
+    /// Takes the new sample, with all parts that any reader wants.
     fn take(&mut self, shared: &SharedOutput) -> Option<Arc<Shown>> {
         let wants: Vec<Want> = shared.wants().keys().copied().collect();
         let sample = self.stream.current()?;
@@ -219,7 +220,7 @@ impl Reader {
 }
 
 impl Shown {
-    /// False where it was taken before somebody wanted that of it.
+    /// False for a sample taken before a reader wanted that part.
     fn has(&self, want: Want) -> bool {
         match want {
             Want::Value => true,
@@ -232,10 +233,11 @@ impl Shown {
         self.frame_bytes > MOST_FRAME_BYTES as u64
     }
 
-    /// As one who reads it once gets it.
+    /// The sample for a caller that reads once.
     ///
     /// # Errors
-    /// It is no value of its type; its frame is more than can be handed out, and nothing but that was wanted.
+    /// The bytes are no value of their type; or the frame is larger than can be handed out, and the caller
+    /// wanted the frame.
     pub(super) fn sample(&self, of: &SharedOutput) -> Result<Sample, Refusal> {
         if of.of_frames && self.frame.is_none() && self.is_too_large() {
             return Err(Refusal::ArgumentInvalid {
@@ -280,7 +282,7 @@ fn cell_of(instance: &Instance, port: &PortId) -> Result<Arc<OutCell>, Refusal> 
     })
 }
 
-/// The kind of the port of that name, if it is one but no output.
+/// The kind of the port of that name, if it is a port but no output.
 fn no_output(ports: &Ports, name: &str) -> Option<&'static str> {
     if ports.inputs.iter().any(|p| p.name == name) {
         Some("an input")

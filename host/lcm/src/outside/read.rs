@@ -13,7 +13,7 @@ use super::super::rows;
 use super::output::{Output, Want};
 use super::{not_shown, shown};
 
-/// Time between two looks at an output until it gives something.
+/// Time between two looks at an output until it gives a sample.
 const LOOK: Duration = Duration::from_millis(1);
 
 /// The state row of `process/component`, or the next sample of `process/component/output`.

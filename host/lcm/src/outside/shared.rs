@@ -1,6 +1,6 @@
-//! One of each thing that somebody looks at, shared by all who do.
+//! One object for each followed output or event, shared by all its readers.
 //!
-//! Invariant: it lives as long as somebody looks at it, and nobody joins one that has come to its end.
+//! Invariant: it lives as long as it has readers, and no reader joins one that has ended.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -14,7 +14,7 @@ impl<K, T> Default for Shared<K, T> {
 }
 
 impl<K: Ord, T> Shared<K, T> {
-    /// The one of this name that still holds, or a new one.
+    /// Returns the object of this key if it still holds, or a new one.
     pub(super) fn join<E>(
         &self,
         key: K,

@@ -1,9 +1,10 @@
-//! Which service a request names, found without allocating, so that a real-time thread may do it.
+//! Finds the service a request names, without allocating, so that a real-time thread may call it.
 //!
-//! Invariant: one pass, no recursion, no allocation. What passes here is an object whose brackets and strings are closed; the
-//! rest of its grammar is judged where it is carried out, and the reply says what is wrong.
+//! Invariant: one pass, no recursion, no allocation. A request that passes is an object whose brackets and
+//! strings are closed; the rest of its grammar is checked where it is carried out, and the reply says what is
+//! wrong.
 
-/// What a component can ask for; `Watch` only to be told what to use instead.
+/// Requests a component can make; `Watch` is here only for the reply that names its replacement.
 pub const VERBS: [&str; 19] = [
     "Create",
     "Configure",
@@ -29,8 +30,7 @@ pub const VERBS: [&str; 19] = [
 const UNKNOWN: &str = "a request for a service names no known verb: give \"verb\" one of Create, Configure, Start, Stop, \
                        Resume, Reset, Remove, Connect, Disconnect, Apply, GetState, List, Describe, WaitFor, Replace, \
                        Move, Load, Unload";
-const BROKEN: &str =
-    "a request for a service is no JSON object: give {\"verb\": \"GetState\", \"path\": \"host/arm\"} or so";
+const BROKEN: &str = "a request for a service is not a JSON object: give {\"verb\": \"GetState\", \"path\": \"host/arm\"} or so";
 
 /// Deepest nesting of a request.
 const DEEPEST: u32 = 64;
@@ -38,7 +38,7 @@ const DEEPEST: u32 = 64;
 /// The verb of a request.
 ///
 /// # Errors
-/// A sentence: no object, or no verb that is known.
+/// A sentence: no object, or no known verb.
 pub(super) fn known(text: &[u8]) -> Result<&'static str, &'static str> {
     std::str::from_utf8(text).map_err(|_| BROKEN)?;
     let mut scan = Scan { text, at: 0 };
@@ -104,7 +104,7 @@ impl<'a> Scan<'a> {
         Some(byte)
     }
 
-    /// The rest of a string behind its opening quote, as it is written.
+    /// The rest of a string behind its opening quote, with its escapes.
     fn string(&mut self) -> Option<&'a [u8]> {
         let from = self.at;
         loop {

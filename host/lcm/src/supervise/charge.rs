@@ -1,7 +1,7 @@
-//! What the watchdog knows of one component, and what it makes of a look at it.
+//! Knowledge of the watchdog about one component, and its judgement after each look.
 //!
-//! Invariant: it never enters the component and never waits for it. What it says of time takes into account that the watchdog
-//! may itself have been kept from running.
+//! Invariant: it never enters the component and never waits for it. Its statements about time take into
+//! account that the watchdog may itself have been kept from running.
 
 use trocar_loader::system;
 use trocar_model::{Health, State, StopReason};
@@ -15,25 +15,26 @@ use super::strangers::Strangers;
 use super::watch::{Busy, Entry, Misdeed};
 use super::watchdog::Lateness;
 
-/// An overrun is shown at least this long, so that health does not flicker, ns.
+/// Shortest time an overrun is shown, ns, so that health does not flicker.
 const OVERRUN_SHOWN_NS: u64 = 1_000_000_000;
 /// Longest stay in an entry that makes, starts or ends a component, ns; its own patience when that is longer.
 const LIFECYCLE_NS: u64 = 1_000_000_000;
-/// Longest wait for a processor that is no excuse any more while it lasts, ns: whoever starves that long is stuck, too.
+/// Longest wait for a processor that excuses a thread while it lasts, ns: a thread that starves that long is
+/// stuck, too.
 const STARVED_NS: u64 = 1_000_000_000;
-/// So much before its patience ends a component counts as unresponsive, ns, or a fiftieth of it when that is less: the
-/// world hears of it within the patience, not after it.
+/// A component counts as unresponsive so much before its patience ends, ns, or a fiftieth of the patience
+/// when that is less: it is reported within the patience, not after it.
 const AHEAD_NS: u64 = 1_000_000;
 
-/// Threads of a component that was stopped get this long to end, ns.
+/// Time that threads of a stopped component get to end, ns.
 pub(crate) const LEAVE_NS: u64 = 200_000_000;
 
-/// Least time between two tellings of what was refused, failed or lost, ns.
+/// Shortest time between two reports of refusals, failures or losses, ns.
 const TELL_NS: u64 = 1_000_000_000;
 /// Longest wait of a component's thread for a caller or device thread inside it, ns.
 const ENTER_NS: u64 = 100_000_000;
 
-/// One component under watch, and what was seen of it.
+/// One watched component, and the watchdog's observations.
 pub(super) struct Charge {
     pub(super) ward: Ward,
     inside: Option<Inside>,
@@ -42,35 +43,36 @@ pub(super) struct Charge {
     /// Entries and commands at the last look.
     entries: u64,
     commands: u64,
-    /// Counted misuse at the last telling, and when that was, ns.
+    /// Counted misuse at the last report, and the time of that report, ns.
     misuses: ([u64; Misuse::ALL.len()], u64),
     stops: u64,
-    /// When it was first seen to be stopped, ns, until its threads were looked for.
+    /// Time at which it was first seen stopped, ns, until its threads were looked for.
     rest_ns: Option<u64>,
 }
 
 /// An entry that was seen running.
 struct Inside {
     busy: Busy,
-    /// When it began or, where that is unknown, was first seen, ns.
+    /// Time of its begin or, where that is unknown, of the first look, ns.
     since_ns: u64,
-    /// When it has taken what it may, should nothing keep it from running until then, ns.
+    /// Time at which its patience ends, if it is not kept from running until then, ns.
     ends_ns: u64,
-    /// Of the watchdog, when it began.
+    /// Lateness of the watchdog at its begin, ns.
     late_ns: u64,
-    /// How long its thread had waited for a processor when it began to last long, ns.
+    /// Time its thread had waited for a processor when the entry began to last long, ns.
     waited_ns: Option<u64>,
-    /// What its thread had run, ns, since when it is seen to be ready without having run any more, ns.
+    /// Run time of its thread, ns, and since when it is seen ready without having run any more, ns.
     ready: Option<(u64, u64)>,
 }
 
 impl Inside {
-    /// How long its thread has been kept from running since it began to last long, ns. A wait under way counts, too: the
-    /// kernel adds it up only when it is over.
+    /// Time for which its thread has been kept from running since the entry began to last long, ns. A wait
+    /// under way counts, too: the kernel adds it up only when it is over.
     fn kept_ns(&mut self, tid: i32, now_ns: u64) -> u64 {
         let waited_ns = waited_ns(tid);
         let over_ns = waited_ns.saturating_sub(*self.waited_ns.get_or_insert(waited_ns));
-        // Whoever sleeps in between must run first, so ready at both looks and not run means ready all the time.
+        // A thread that sleeps in between must run first, so ready at both looks without having run means
+        // ready all the time.
         let ran_ns = if os::is_ready(tid) { os::thread_ran_ns(tid) } else { None };
         let since_ns = match (self.ready, ran_ns) {
             (Some((before_ns, since_ns)), Some(ran_ns)) if before_ns == ran_ns => since_ns,
@@ -107,17 +109,18 @@ impl Charge {
         (self.ward.instance.watch.entries(), self.ward.instance.counters.commands())
     }
 
-    /// Up to here it has been looked at. Counted before the look: what began during it belongs to the next one, too.
+    /// Notes these counts as looked at. They are counted before the look: an entry that began during it
+    /// belongs to the next look, too.
     pub(super) fn note(&mut self, counts: (u64, u64)) {
         (self.entries, self.commands) = counts;
     }
 
-    /// Ran a command since the last look.
+    /// Tells whether it ran a command since the last look.
     pub(super) fn commanded(&self) -> bool {
         self.commands != self.ward.instance.counters.commands()
     }
 
-    /// Was inside since the last look, or is.
+    /// Tells whether a thread was inside since the last look, or is.
     pub(super) fn entered(&self) -> bool {
         self.entries != self.ward.instance.watch.entries() || self.ward.instance.watch.busy().is_some()
     }
@@ -146,7 +149,7 @@ impl Charge {
         }
     }
 
-    /// Tells how it is; `stuck`: why it, or its thread, does not come on.
+    /// Updates and reports its health; `stuck`: why it, or its thread, makes no progress.
     pub(super) fn look(&mut self, now_ns: u64, stuck: Option<String>) {
         let instance = self.ward.instance.clone();
         let (health, why) = match stuck {
@@ -156,12 +159,12 @@ impl Charge {
         let before = instance.watch.health();
         let runs = self.inside.as_ref().is_none_or(|i| i.busy.entry.runs());
         if health == Health::Unresponsive && before != health && !runs {
-            // Whoever makes, starts or ends it waits, and may look why.
+            // The caller that makes, starts or ends it waits, and may look why.
             instance.keep_warning(&why);
         }
         instance.set_health(health, &why);
         if health == Health::Unresponsive && before != health {
-            // Its maker, starter or ender is waiting for it already.
+            // In other entries its caller is waiting for it already.
             if instance.is_actuator() && runs {
                 instance.set_state_from(State::Active, State::Fault, &why);
                 give_up(&self.ward);
@@ -175,7 +178,8 @@ impl Charge {
         instance.show_figures();
     }
 
-    /// What moves something and has lost what it requires is made safe and stopped, unless it was only rewired.
+    /// Makes an actuator safe and stops it when it has lost a required connection, unless it was only
+    /// rewired.
     fn mind_peers(&self, now_ns: u64) {
         let instance = &self.ward.instance;
         if !instance.is_actuator() || !instance.is_active() {
@@ -187,7 +191,7 @@ impl Charge {
         }
     }
 
-    /// Says what was refused or went wrong, at most once a second.
+    /// Reports refusals and failures, at most once a second.
     fn tell_misuse(&mut self, now_ns: u64) {
         let instance = &self.ward.instance;
         let (now, (before, told_ns)) = (instance.counters.misuses(), self.misuses);
@@ -211,7 +215,7 @@ impl Charge {
         }
     }
 
-    /// Why it counts as unresponsive, if it does.
+    /// Reason why it counts as unresponsive, if it does.
     pub(super) fn stuck(&mut self, now_ns: u64, late: Lateness) -> Option<String> {
         let Some(busy) = self.ward.instance.watch.busy() else {
             self.inside = None;
@@ -228,7 +232,7 @@ impl Charge {
         let patience_ns = if busy.entry.runs() { own } else { own.max(LIFECYCLE_NS) };
         let allowed_ns = patience_ns - AHEAD_NS.min(patience_ns / 50);
         let lasted_ns = now_ns.saturating_sub(inside.since_ns);
-        // Where the watchdog could not run, neither could it, perhaps.
+        // While the watchdog could not run, the component may not have run either.
         let mut counted_ns = lasted_ns.saturating_sub(late.now_ns - inside.late_ns);
         if counted_ns > patience_ns / 2 {
             counted_ns = counted_ns.saturating_sub(inside.kept_ns(tid, now_ns));
@@ -240,8 +244,8 @@ impl Charge {
         })
     }
 
-    /// Why `other`, which does not run, waits for it, and since when it is inside, ns: one of its own entries has the thread
-    /// both step on.
+    /// Reason why `other`, which does not run, waits for this component, and since when this one is inside,
+    /// ns: one of its own entries holds the thread both step on.
     pub(super) fn holds(&self, other: &Charge) -> Option<(u64, String)> {
         let (instance, waiting) = (&self.ward.instance, &other.ward.instance);
         let inside = self.inside.as_ref()?;
@@ -256,13 +260,13 @@ impl Charge {
         Some((inside.since_ns, format!("its thread is held by {} inside its {entry}", instance.id)))
     }
 
-    /// The next moment after `now_ns` at which it has taken its period, or what it may at most, ns.
+    /// The next moment after `now_ns` at which its period or its patience ends, ns.
     pub(super) fn next_end_ns(&self, now_ns: u64) -> Option<u64> {
         let ends = self.inside.as_ref().map(|i| i.ends_ns);
         ends.into_iter().chain(self.overruns_at_ns().map(|due| due + 1)).filter(|end| *end > now_ns).min()
     }
 
-    /// When a step that runs now has taken longer than its period, ns.
+    /// Time at which a step that runs now has taken longer than its period, ns.
     fn overruns_at_ns(&self) -> Option<u64> {
         let period_ns = self.ward.instance.period_ns();
         let running = self.ward.instance.watch.busy().filter(|b| b.entry.runs() && b.since_ns > 0)?;
@@ -272,7 +276,7 @@ impl Charge {
     fn health(&mut self, now_ns: u64) -> (Health, String) {
         let instance = &self.ward.instance;
         let overruns = instance.watch.overruns();
-        // One that still runs is counted by its own thread when it ends, and shown now.
+        // A step that still runs is counted by its own thread when it ends, and shown now.
         if overruns != self.overruns || self.overruns_at_ns().is_some_and(|due| now_ns > due) {
             self.overruns = overruns;
             self.overrun_ns = Some(now_ns);
@@ -289,12 +293,12 @@ impl Charge {
                 let period = short(instance.period_ns());
                 (Health::Overrun, format!("a cycle takes longer than its period ({period})"))
             }
-            _ => (Health::Ok, "it runs as it should again".into()),
+            _ => (Health::Ok, "recovered".into()),
         }
     }
 }
 
-/// The entry it is in; a command by its name.
+/// Name of the entry a thread is in; of a command with its name.
 fn inside_of(ward: &Ward, busy: Busy) -> String {
     let (entry, instance) = (busy.entry.name(), &ward.instance);
     if busy.entry != Entry::Command {
@@ -312,10 +316,10 @@ fn short(ns: u64) -> String {
     format!("{} {unit}", (ns as f64 / scale * 1e3).round() / 1e3)
 }
 
-/// Which of its sources are silent or gone.
+/// Names its sources that are silent or gone.
 fn stale(ward: &Ward, now_ns: u64) -> Option<String> {
     let instance = &ward.instance;
-    // What is only rewired is not without a source.
+    // An end that is only rewired is not without a source.
     let gone = instance.missing().into_iter().filter(|(_, lost_ns)| now_ns >= *lost_ns);
     let missing: Vec<String> = gone.map(|(port, _)| port).collect();
     if !missing.is_empty() {
@@ -325,7 +329,7 @@ fn stale(ward: &Ward, now_ns: u64) -> Option<String> {
     (!silent.is_empty()).then(|| format!("no data for longer than max_age at {}", silent.join(", ")))
 }
 
-/// No step begins any more; its own thread brings it to its safe condition.
+/// Lets no step begin any more; its own thread brings it to its safe condition.
 fn lose_peer(ward: &Ward) {
     let instance = ward.instance.clone();
     let lost = State::Stopped(StopReason::PeerLost);
@@ -337,11 +341,11 @@ fn lose_peer(ward: &Ward) {
         instance.refuse_queued(NOT_ACTIVE);
         match instance.object.enter_until(os::now_ns() + ENTER_NS) {
             Some(mut entered) => {
-                // Said in there, and there is nothing safer to do.
+                // A failure is reported in there, and there is nothing safer to do.
                 let _ = instance.make_safe(&mut entered);
                 instance.publish_state(&mut entered);
             }
-            // Whoever is inside makes it safe when leaving.
+            // The thread inside makes it safe when it leaves.
             None => {
                 instance.watch.owe_safe();
                 instance.serve();
@@ -350,7 +354,7 @@ fn lose_peer(ward: &Ward) {
     });
 }
 
-/// How long a thread was ready to run and got no processor, ns; 0 where the kernel does not say.
+/// Time for which a thread was ready to run and got no processor, ns; 0 where the kernel does not say.
 fn waited_ns(tid: i32) -> u64 {
     let text = std::fs::read_to_string(format!("/proc/self/task/{tid}/schedstat")).unwrap_or_default();
     text.split_ascii_whitespace().nth(1).and_then(|w| w.parse().ok()).unwrap_or(0)

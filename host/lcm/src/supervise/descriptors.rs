@@ -1,7 +1,8 @@
-//! Descriptors of the host that code in its process has closed: who did it is named, the process is told to
-//! be unfit, and ends where it would hear of nothing any more.
+//! Descriptors of the host that code in its process has closed: the suspects are named, the process counts as
+//! unfit, and ends if it could receive nothing any more.
 //!
-//! Invariant: what was closed is told once; what the host closes itself, at its end, is nobody's doing.
+//! Invariant: a closed descriptor is reported once; descriptors that the host closes itself, at its end, are
+//! not reported.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -16,10 +17,10 @@ use super::hygiene::{self, Minding, is_own_process};
 use super::last;
 use super::roster::Ward;
 
-/// Names of components that are told.
+/// Most names of components in a report.
 const TOLD: usize = 8;
 
-/// A runtime of this process has lost what it waits at.
+/// True when a runtime of this process has lost a descriptor it waits at.
 static DEAF: AtomicBool = AtomicBool::new(false);
 
 fn lasting() -> MutexGuard<'static, Option<Lasting>> {
@@ -27,7 +28,8 @@ fn lasting() -> MutexGuard<'static, Option<Lasting>> {
     LASTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// When the watchdog began with the first descriptor, counted in loads: the time before, and this time.
+/// Moments at which the watchdog began with the first descriptor, counted in loads: the previous time, and
+/// this time.
 #[derive(Default)]
 pub(super) struct Turns([Option<Moment>; 2]);
 
@@ -36,13 +38,13 @@ impl Turns {
         self.0 = [self.0[1], Some(loader::moment())];
     }
 
-    /// A plugin was being loaded since the look at which the descriptor was there.
+    /// Tells whether a plugin was being loaded since the look at which the descriptor was there.
     fn had_a_load(&self) -> bool {
         self.0[0].or(self.0[1]).is_some_and(loader::has_loaded_since)
     }
 }
 
-/// The host has all it needs and runs no component yet: from now on this is looked after. A program that
+/// Starts to look after the descriptors: the host has all it needs and runs no component yet. A program that
 /// embeds a host does what it likes with its own.
 pub fn keep() {
     if is_own_process() {
@@ -50,7 +52,7 @@ pub fn keep() {
     }
 }
 
-/// The host begins to end.
+/// Ends this: the host begins to end.
 pub fn let_go() {
     *lasting() = None;
 }
@@ -59,13 +61,13 @@ pub(super) fn are_all_there() -> bool {
     lasting().as_ref().is_none_or(Lasting::are_all_there)
 }
 
-/// Everything that no runtime can do without has been there all the time.
+/// Tells whether the descriptors that every runtime needs have been there all the time.
 pub(super) fn are_vital_there() -> bool {
     let lasting = lasting();
     !DEAF.load(Ordering::Acquire) && lasting.as_ref().is_none_or(Lasting::are_vital_there)
 }
 
-/// Says what is gone, if anything is, and what becomes of the process.
+/// Reports the closed descriptors, if there are any, and what happens to the process.
 pub(super) fn settle(hub: &Hub, who: &str) {
     let Some((what, is_vital)) = gone(who) else { return };
     if is_vital {
@@ -79,17 +81,17 @@ pub(super) fn settle(hub: &Hub, who: &str) {
     hub.warn(Concern::Descriptors, Some(why));
 }
 
-/// A sentence on what is gone, once, as the doing of one of these.
+/// A sentence about the closed descriptors, once, with these suspects.
 pub(super) fn what_is_gone(wards: &[&Ward]) -> Option<String> {
     gone(&suspects(wards)).map(|(what, _)| what)
 }
 
-/// A sentence on what is gone, once; true where the process cannot do without it.
+/// A sentence about the closed descriptors, once; true if the process cannot do without them.
 fn gone(who: &str) -> Option<(String, bool)> {
     let mut lasting = lasting();
     let gone = lasting.as_mut().map(Lasting::take_gone).filter(|gone| !gone.is_empty())?;
     if gone.iter().any(Descriptor::is_vital) {
-        // Under the lock: from now on they are on no list.
+        // Under the lock: they are on no list from now on.
         DEAF.store(true, Ordering::Release);
     }
     drop(lasting);
@@ -101,7 +103,7 @@ fn gone(who: &str) -> Option<(String, bool)> {
     })
 }
 
-/// A look of the watchdog, at one descriptor in turn: all within a tenth of a second or so.
+/// Looks at one descriptor in turn, for the watchdog: at all within a tenth of a second or so.
 pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) {
     let before = hygiene::minded(wards);
     let is_there = match lasting().as_mut() {
@@ -123,7 +125,7 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) {
     }
 }
 
-/// A thread of a component may have done it outside of its entries, so all are named.
+/// Names all components: a thread of one may have done it outside of its entries.
 fn suspects(wards: &[&Ward]) -> String {
     let names: Vec<String> = wards.iter().take(TOLD).map(|w| w.instance.id.to_string()).collect();
     match (names.as_slice(), wards.len().saturating_sub(TOLD)) {

@@ -1,9 +1,9 @@
-//! Whether component code left its thread and its process as it found them: signal mask, rounding mode,
-//! working directory, locale, umask, what signals do, standard streams, threads.
+//! Checks whether component code left its thread and its process as it found them: signal mask, rounding
+//! mode, working directory, locale, umask, signal actions, standard streams, threads.
 //!
-//! Invariant: what can be put back is put back before anybody else's code runs on that thread; whoever did it
-//! is named, and while an entry looks after its manners itself (`Watch::mind`), what is found belongs to it
-//! and not to the watchdog.
+//! Invariant: state that can be restored is restored before code of anybody else runs on that thread; the
+//! component that changed it is named. While an entry checks its own manners (`Watch::mind`), a change that
+//! is found belongs to that entry and not to the watchdog.
 
 #[cfg(test)]
 mod tests;
@@ -24,17 +24,17 @@ use super::roster::Ward;
 use super::strangers::{self, Strangers};
 use super::watch::{Entry, Misdeed};
 
-/// Time between two looks at the signal mask of a thread, and at what is the process's, ns.
+/// Time between two looks at the signal mask of a thread, and at the state of the process, ns.
 const ROUND_NS: u64 = 1_000_000_000;
 
-/// How long those are looked at one by one of whom one may have done something, ns.
+/// Time for which suspected components are looked at one by one, ns.
 const SUSPECTED_NS: u64 = 10_000_000_000;
 
-/// Where this process belongs: its working directory when components were first looked after. The lock guards
-/// the word only.
+/// Home of this process: its working directory when components were first looked after. The lock guards the
+/// word only.
 static HOME: Mutex<Option<PathBuf>> = Mutex::new(None);
 
-/// Where the process is, and where it belongs; `None` where that cannot be told.
+/// The present working directory, and the home directory; `None` if the present one is unknown.
 fn whereabouts() -> Option<(PathBuf, PathBuf)> {
     let now = std::env::current_dir().ok()?;
     let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
@@ -42,13 +42,13 @@ fn whereabouts() -> Option<(PathBuf, PathBuf)> {
     Some((now, home))
 }
 
-/// Takes where the process is now for where it belongs, before anybody's code has run.
+/// Takes the present working directory as the home of the process, before any component's code has run.
 pub(super) fn settle() {
     let _ = whereabouts();
 }
 
-/// This process is a host and nothing else: from now on its locale, umask, signal handlers and standard
-/// streams are looked after. A program that embeds a host changes them as it likes.
+/// Declares this process a host and nothing else: its locale, umask, signal handlers and standard streams are
+/// looked after from now on. A program that embeds a host changes them as it likes.
 pub fn own_process() {
     os::keep_streams();
     household().get_or_insert_with(Household::look);
@@ -58,7 +58,7 @@ pub(super) fn is_own_process() -> bool {
     household().is_some()
 }
 
-/// Entries of components, so that one that was alone can be told from those beside others.
+/// Counts entries of components, so that one that was alone can be told from those beside others.
 struct Visits {
     inside: AtomicUsize,
     begun: AtomicU64,
@@ -71,27 +71,27 @@ impl Visits {
         Visits { inside: AtomicUsize::new(0), begun: AtomicU64::new(0) }
     }
 
-    /// An entry begins; its number if it is alone.
+    /// Counts an entry that begins; returns its number if it is alone.
     fn begin(&self) -> Option<u64> {
         let alone = self.inside.fetch_add(1, Ordering::AcqRel) == 0;
         let number = self.begun.fetch_add(1, Ordering::AcqRel) + 1;
         alone.then_some(number)
     }
 
-    /// An entry ends; true when no other was there from its begin on.
+    /// Counts an entry that ends; true when no other entry was under way since its begin.
     fn end(&self, alone: Option<u64>) -> bool {
         self.inside.fetch_sub(1, Ordering::AcqRel);
         alone == Some(self.begun.load(Ordering::Acquire))
     }
 }
 
-/// The state of the process when somebody between entries last looked at it.
+/// The state of the process at the last look between entries.
 fn household() -> MutexGuard<'static, Option<Household>> {
     static HOUSEHOLD: Mutex<Option<Household>> = Mutex::new(None);
     HOUSEHOLD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Brings the process back to where it belongs, or lets it belong where it is; answers what came of it.
+/// Brings the process back home, or makes the present directory its home; returns the result in words.
 fn go_home(now: PathBuf, home: &PathBuf) -> String {
     match std::env::set_current_dir(home) {
         Ok(()) => "which was put back".to_owned(),
@@ -102,24 +102,24 @@ fn go_home(now: PathBuf, home: &PathBuf) -> String {
     }
 }
 
-/// How a thread and its process stood before an entry.
+/// State of a thread and its process before an entry.
 pub(crate) struct Manners {
     thread: Hygiene,
-    /// Where the process was then; elsewhere than at home it was by somebody else's doing.
+    /// Working directory at that time; if it was not home, another component had changed it.
     directory: Option<PathBuf>,
-    /// Its number while it is alone, and how the process stood then, where that is looked after.
+    /// Number of the entry while it is alone, and the state of the process then, if that is looked after.
     alone: Option<u64>,
     household: Option<Household>,
-    /// It is alone, and no descriptor of the host had been closed.
+    /// True when the entry is alone, and no descriptor of the host had been closed.
     has_all: bool,
     loads: Moment,
-    /// None while the component runs: its threads are not to wait for this look.
+    /// `None` while the component runs: its threads must not wait for this look.
     threads: Option<strangers::Moment>,
 }
 
 impl Manners {
-    /// Looks before an entry of the component; not from a step. Until [`Manners::after`], the watchdog leaves
-    /// it alone.
+    /// Looks before an entry of the component; not from a step. The watchdog leaves the component alone until
+    /// [`Manners::after`].
     pub(crate) fn before(instance: &Instance) -> Manners {
         instance.watch.mind();
         let alone = VISITS.begin();
@@ -135,7 +135,7 @@ impl Manners {
         }
     }
 
-    /// Looks after it: puts back and says what was changed.
+    /// Looks after the entry: restores what was changed, and reports it.
     pub(crate) fn after(self, instance: &Instance, entry: Entry) {
         let now = os::thread_hygiene();
         let lasts = matches!(entry, Entry::Create | Entry::Configure);
@@ -149,8 +149,8 @@ impl Manners {
             os::set_sigmask(self.thread.sigmask);
             instance.warn(&format!("{entry}: it changed the signal mask of its thread, which was put back"));
         }
-        // Beside others nobody knows whose doing it was, or what another has put back meanwhile: the watchdog
-        // looks then.
+        // Beside other entries the origin of a change is unknown, and another entry may have restored it
+        // meanwhile: the watchdog looks then.
         let was_alone = VISITS.end(self.alone) && !loader::has_loaded_since(self.loads);
         if was_alone && self.has_all {
             descriptors::settle(&instance.hub, &format!("{}: {entry}", instance.id));
@@ -184,8 +184,8 @@ impl Manners {
     }
 }
 
-/// Looks at a component around its step, while it is one of several that may have done something. Then, and
-/// only then, a step costs some system calls.
+/// Looks at a component around its step, while it is one of several suspects. Only then a step costs some
+/// system calls.
 pub(crate) struct Suspicion {
     sigmask: u64,
     directory: Option<PathBuf>,
@@ -199,35 +199,36 @@ impl Suspicion {
         })
     }
 
-    /// Notes what it did. The signal mask is put back here, the directory by the watchdog, which owns its
-    /// place.
+    /// Notes the changes that the step made. The signal mask is restored here, the directory by the watchdog,
+    /// which owns its place.
     pub(crate) fn after(self, instance: &Instance) {
         if os::thread_hygiene().sigmask != self.sigmask {
             os::set_sigmask(self.sigmask);
             instance.watch.find_out(Misdeed::Signals);
         }
-        // Back at home, it was the watchdog that went there meanwhile.
+        // If the process is back home, the watchdog went there meanwhile.
         if whereabouts().is_some_and(|(now, home)| now != home && self.directory.is_some_and(|b| b != now)) {
             instance.watch.find_out(Misdeed::Directory);
         }
     }
 }
 
-/// What the watchdog knows of the process and its threads from earlier looks.
+/// Knowledge of the watchdog about the process and its threads from earlier looks.
 #[derive(Default)]
 pub(super) struct Premises {
     household_ns: u64,
-    /// When that was, counted in loads.
+    /// Moment of that look, counted in loads.
     loads: Option<Moment>,
     masks: Round,
-    /// Until when somebody is suspected, ns; 0 = nobody is.
+    /// End of the suspicion, ns; 0 = no component is suspected.
     suspected_ns: u64,
 }
 
 impl Premises {
-    /// One look. `are_all`, asked after it: no component has come since `wards` were taken. `busy`, asked
-    /// last, are those that were inside since the last look that answered true, the ones with commands first.
-    /// False: somebody is inside who looks for himself, or is not known yet, so nothing is said yet.
+    /// Looks once. `are_all` is asked after the look: no component was added since `wards` were taken. `busy`
+    /// is asked last: the components that were inside since the last look that returned true; those with
+    /// commands first. False: a component inside looks for itself, or is not known yet, so nothing is
+    /// reported yet.
     pub(super) fn look<'a>(
         &mut self,
         now_ns: u64,
@@ -255,16 +256,16 @@ impl Premises {
     }
 }
 
-/// Threads in turn, so that each is looked at once in [`ROUND_NS`] and no look takes long.
+/// Takes threads in turn, so that each is looked at once in [`ROUND_NS`] and no look takes long.
 #[derive(Default)]
 struct Round {
     last_ns: u64,
-    /// The thread before the next one.
+    /// The thread looked at last.
     last: u64,
 }
 
 impl Round {
-    /// Members of each thread whose turn it is.
+    /// Returns the members of each thread whose turn it is.
     fn due<'a>(&mut self, now_ns: u64, wards: &[&'a Ward]) -> Vec<Vec<&'a Ward>> {
         let mut threads: BTreeMap<u64, Vec<&Ward>> = BTreeMap::new();
         wards.iter().for_each(|ward| threads.entry(ward.executor.id).or_default().push(ward));
@@ -281,8 +282,8 @@ impl Round {
     }
 }
 
-/// Finds what steps, commands and threads of components have changed for everybody. What an entry that looks
-/// for itself does is left to it; what stays as a load has left it was told by the loader.
+/// Finds changes of the whole process made by steps, commands and threads of components. Changes by an entry
+/// that looks for itself are left to that entry; the loader has reported state that a load left behind.
 fn look_at_household(wards: &[&Ward], loads: Option<Moment>) {
     if household().is_none() {
         return;
@@ -311,14 +312,14 @@ fn look_at_household(wards: &[&Ward], loads: Option<Moment>) {
     }
 }
 
-/// What a look came to.
+/// Result of a look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Found {
-    /// All is as it was, or there was no doubt whose doing it is.
+    /// Nothing has changed, or there was no doubt which component did it.
     Settled,
-    /// Several may have done it, and were told.
+    /// Several components may have done it, and were warned.
     Several,
-    /// Somebody looks for himself, or has come since; asked again when he is done, or known.
+    /// A component looks for itself, or was added since; the look is repeated later.
     TooEarly,
 }
 
@@ -347,21 +348,21 @@ fn look_at_directory<'a>(
     }
 }
 
-/// Who looks after his manners himself.
+/// Entries that check their own manners.
 pub(super) enum Minding<'a> {
     Nobody,
-    /// At least one who will come to it.
+    /// At least one of them will come to it.
     Looks,
-    /// These, and all of them do not come back.
+    /// These components look themselves, and none of them returns.
     Hang(Vec<&'a Ward>),
 }
 
-/// The words of these now, for [`minding`].
+/// Counters of these components' own looks, for [`minding`].
 pub(super) fn minded(wards: &[&Ward]) -> Vec<u64> {
     wards.iter().map(|w| w.instance.watch.minded()).collect()
 }
 
-/// Who does, or did since the words in `before` were taken.
+/// Tells which components look for themselves, or did since `before` was taken.
 pub(super) fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
     let now = minded(wards);
     let inside: Vec<&Ward> =
@@ -375,15 +376,15 @@ pub(super) fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
     }
 }
 
-/// Says to those it may have been what was done; alone under suspicion, it was that one. True when there are
-/// several: should it happen again, they are looked at one by one. Who is looked at already would have been
-/// found out, so it was another.
+/// Warns the suspects of the change; a single suspect did it. True when there are several: if it happens
+/// again, they are looked at one by one. A suspect already under such a look would have been found out, so
+/// another one did it.
 fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
     if suspects.is_empty() {
         log::warn!("{what}, by no component that was seen running");
         return false;
     }
-    // All are asked, so that nothing found now is taken for something found later.
+    // All are asked, so that a change found now is not taken for one found later.
     let (found, free): (Vec<&Ward>, Vec<&Ward>) =
         suspects.iter().partition(|w| w.instance.watch.takes_found_out(misdeed));
     let (known, others): (Vec<&Ward>, Vec<&Ward>) =
@@ -391,7 +392,7 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
     match others.as_slice() {
         [] => return true,
         [ward] if found.is_empty() => ward.instance.warn(what),
-        // What was found at one may have been done beside it by another who is not looked at yet.
+        // A change found at one may have been made beside it by another one that is not looked at yet.
         _ => {
             let names: Vec<String> = found.iter().chain(&others).map(|w| w.instance.id.to_string()).collect();
             others.iter().for_each(|w| w.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
@@ -402,7 +403,8 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
     !known.is_empty()
 }
 
-/// Looks at the signal mask of the thread of these, as the kernel shows it; true when several are suspected.
+/// Looks at the signal mask of these members' thread, as the kernel shows it; true when several are
+/// suspected.
 fn mask(members: &[&Ward]) -> bool {
     let Some(executor) = members.first().map(|ward| &ward.executor) else { return false };
     let before = minded(members);
@@ -416,7 +418,7 @@ fn mask(members: &[&Ward]) -> bool {
         Minding::Hang(stuck) => stuck,
     };
     if executor.settings.mask_due.swap(true, Ordering::AcqRel) {
-        // Asked for already: it hangs, and would only find more of the same when it comes back.
+        // Asked for already: the thread hangs, and more requests would only pile up until it returns.
         return false;
     }
     let settings = executor.clone();
@@ -427,7 +429,7 @@ fn mask(members: &[&Ward]) -> bool {
     accuse(&suspects, "the signal mask of its thread was changed, which was put back", Misdeed::Signals)
 }
 
-/// Signals a thread of this process blocks, bit 0 = signal 1.
+/// Signals that a thread of this process blocks, bit 0 = signal 1.
 fn blocked(tid: i32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/self/task/{tid}/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("SigBlk:"))?;

@@ -1,10 +1,10 @@
-//! The end of a process that cannot go on: what its runtimes wait at was closed, or a thread of the host
-//! broke down.
+//! The end of a process that cannot go on: descriptors that its runtimes wait at were closed, or a thread of
+//! the host broke down.
 //!
 //! Invariant: devices come first, and nothing on the way to them wakes a runtime or logs: a runtime whose
-//! descriptors are gone panics in whoever wakes it. Such a panic goes no further than its beginning
-//! ([`caught`]), since what is dropped on the way out wakes more, and a second panic would end the process
-//! with its devices driven.
+//! descriptors are gone panics in the thread that wakes it. Such a panic goes no further than its beginning
+//! ([`caught`]): unwinding would drop values that wake more, and a second panic would end the process with
+//! its devices driven.
 
 use std::panic;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,14 +23,14 @@ use super::descriptors;
 use super::roster::{Roster, Ward};
 use super::watch::Entry;
 
-/// Time that devices may take to come to their safe condition.
+/// Longest time for devices to come to their safe condition.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Pause between two looks at them.
 const LOOK: Duration = Duration::from_millis(1);
 /// Name of the thread that makes them safe.
 const NAME: &str = "trocar-last";
 
-/// Says why, and ends the process.
+/// Reports why, and ends the process.
 pub(crate) type End = fn(&str);
 
 static END: OnceLock<End> = OnceLock::new();
@@ -38,10 +38,10 @@ static END: OnceLock<End> = OnceLock::new();
 static ROSTER: Mutex<Option<Arc<Roster>>> = Mutex::new(None);
 static BEGUN: AtomicBool = AtomicBool::new(false);
 
-/// This process is a host and nothing else, and ends so when it cannot go on. A program that embeds a host
-/// goes on.
+/// Declares that this process is a host and nothing else, and how it ends when it cannot go on. A program
+/// that embeds a host goes on.
 pub fn ends_by(end: End) {
-    // There is one program in a process, which says it once.
+    // A process has one program, which calls this once.
     if END.set(end).is_err() {
         return;
     }
@@ -54,7 +54,7 @@ pub fn ends_by(end: End) {
     }));
 }
 
-/// These are the components of the process.
+/// Notes the components of the process.
 pub(super) fn keep(roster: &Arc<Roster>) {
     *own_roster() = Some(roster.clone());
 }
@@ -67,7 +67,7 @@ fn wards() -> Vec<Ward> {
     own_roster().as_ref().map(|roster| roster.all()).unwrap_or_default()
 }
 
-/// Makes everything safe that moves something, and ends the process. A program that embeds a host goes on,
+/// Makes all devices that move something safe, and ends the process. A program that embeds a host goes on,
 /// unfit.
 pub(crate) fn cannot_go_on(hub: &Hub, why: String) {
     if END.get().is_some() {
@@ -78,12 +78,12 @@ pub(crate) fn cannot_go_on(hub: &Hub, why: String) {
     }
 }
 
-/// A thread panics without what runtimes wait at: it goes no further. One that runs components makes them
-/// safe before, but the one that it is inside of.
+/// Stops a thread that panics when the descriptors of the runtimes are gone. A thread that runs components
+/// first makes them safe, except the one that it is inside of.
 fn caught() -> ! {
     let here = thread::current();
     if here.name() == Some(NAME) {
-        // It does nothing that could panic; if it does, this is all that is left to do.
+        // This thread does nothing that could panic; if it does, only the end is left.
         end("its devices could not be made safe");
     }
     let wards = wards();
@@ -92,7 +92,7 @@ fn caught() -> ! {
         cease(instance, "");
         instance.make_safe_silently();
         if !instance.info.safe_from_any_thread {
-            // Should this thread be inside of it, nobody comes to it any more.
+            // If this thread is inside the component, no other one comes to it any more.
             instance.watch.takes_owed_safe();
         }
     }
@@ -103,7 +103,7 @@ fn caught() -> ! {
     }
 }
 
-/// Has it done by a thread that nobody can hold up; once.
+/// Starts the end on a thread that nothing can hold up; once.
 fn begin(why: String) {
     if BEGUN.swap(true, Ordering::AcqRel) {
         return;
@@ -117,7 +117,7 @@ fn begin(why: String) {
 fn stand(why: &str) {
     let wards = wards();
     wards.iter().for_each(|ward| cease(&ward.instance, why));
-    // All that are owed it, also those that somebody has begun with.
+    // All components that are owed it, also those another thread has begun with.
     wards.iter().filter(|ward| ward.instance.watch.owes_safe()).for_each(have_it_made_safe);
     let until = Instant::now() + PATIENCE;
     while wards.iter().any(|ward| is_underway(&ward.instance)) && Instant::now() < until {
@@ -130,15 +130,15 @@ fn end(why: &str) -> ! {
     if let Some(end) = END.get() {
         end(why);
     }
-    // It did not end it.
+    // The call has not ended the process.
     std::process::abort();
 }
 
-/// Takes it out of service when it moves something now, or is about to.
+/// Takes a component out of service if it moves something now, or is about to.
 fn cease(instance: &Instance, why: &str) {
     let begins = || instance.watch.busy().is_some_and(|b| matches!(b.entry, Entry::Start | Entry::Resume));
     if instance.is_actuator() && (instance.is_active() || begins()) {
-        // Nobody hears how it stood.
+        // The former state is reported to nobody.
         let _ = instance.shut(State::Fault, why);
         instance.watch.owe_safe();
     }
@@ -153,7 +153,7 @@ fn have_it_made_safe(ward: &Ward) {
                 instance.watch.takes_owed_safe();
             }
         };
-        // Without a thread its own one does it.
+        // Without a new thread, the component's own one does it.
         let _ = house::spawn(thread::Builder::new().name("trocar-safe".into()), outside);
     }
     ward.executor.submit(move |_| instance.make_safe_silently());

@@ -1,4 +1,5 @@
-//! Who looks after the components of this process: entries that do not come back, cycles that are late, peers that are gone.
+//! Supervision of the components of this process: entries that do not return, cycles that are late, peers
+//! that are gone.
 //!
 //! Invariant: the watchdog runs no component code and shares no lock with a thread that does.
 

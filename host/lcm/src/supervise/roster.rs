@@ -1,6 +1,6 @@
-//! Who is to be watched: the components of one LCM with their threads.
+//! The list of watched components: those of one LCM with their threads.
 //!
-//! Invariant: the lock guards the list only; whoever looks works on a copy.
+//! Invariant: the lock guards the list only; every look works on a copy.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::super::executor::Executor;
 use super::super::instance::Instance;
 
-/// One component and the thread it runs on.
+/// One component and its thread.
 #[derive(Clone)]
 pub(crate) struct Ward {
     pub(crate) instance: Arc<Instance>,
@@ -29,7 +29,7 @@ pub(crate) struct Roster {
 }
 
 impl Roster {
-    /// Adds a component, or puts it on another thread.
+    /// Adds a component, or moves it to another thread.
     pub(crate) fn add(&self, ward: Ward) {
         let mut wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
         wards.retain(|w| w.instance.number != ward.instance.number);
@@ -42,7 +42,8 @@ impl Roster {
         self.edition.fetch_add(1, Ordering::Release);
     }
 
-    /// Every component that is on the list now is one of those. Who has gone since may still be among them.
+    /// Tells whether every component on the list now is one of `known`. Components removed since may still be
+    /// among those.
     pub(super) fn has_only(&self, known: &[&Ward]) -> bool {
         let known: HashSet<u32> = known.iter().map(|k| k.instance.number).collect();
         let wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
@@ -53,7 +54,7 @@ impl Roster {
         self.wards.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The list, when it is another edition than `seen`, which is brought up to date.
+    /// The list, if its edition differs from `seen`, which is brought up to date.
     pub(super) fn news(&self, seen: &mut u64) -> Option<Vec<Ward>> {
         let edition = self.edition.load(Ordering::Acquire);
         if edition == *seen {

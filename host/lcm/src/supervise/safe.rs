@@ -1,9 +1,9 @@
-//! Making a component safe whose own thread is not to be had: it hangs, or somebody else hangs on it.
+//! Makes a component safe whose own thread is blocked: it hangs, or another component hangs on it.
 //!
-//! Invariant: from another thread only classes that declare `make_safe` callable from any: that entry then touches nothing
-//! but what is made for several threads (a Rust class cannot do otherwise: it runs a handle apart from the component). On a
-//! thread of its own, since it may hang too, which another one tells. The component's own thread does it once more when it
-//! is back.
+//! Invariant: from another thread this is done only for classes that declare `make_safe` callable from any
+//! thread: that entry then touches only data made for several threads (a Rust class cannot do otherwise: it
+//! runs a handle apart from the component). It runs on a thread of its own, since it may hang too, which
+//! another thread reports. The component's own thread does it once more when it is back.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -18,18 +18,18 @@ use super::super::boundary::EntryError;
 use super::super::instance::Instance;
 use super::roster::Ward;
 
-/// What is said of a `make_safe` that was called from here.
+/// Name of a `make_safe` called from here, for reports.
 const OUTSIDE: &str = "make_safe from another thread";
-/// How long it may take before it is said that nobody knows what came of it.
+/// Longest time for it before a report that its result is unknown.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// What moves something and does not come on is made safe as soon as anybody can; its state was set before.
+/// Makes an actuator that makes no progress safe as soon as any thread can; its state was set before.
 pub(crate) fn give_up(ward: &Ward) {
     let instance = &ward.instance;
     if !instance.watch.owe_safe() {
         return;
     }
-    // Nobody waits for what will not be run.
+    // No caller waits for a call that will not be run.
     instance.refuse_queued(NOT_ACTIVE);
     if instance.info.safe_from_any_thread {
         make_safe_outside(instance);
@@ -38,7 +38,8 @@ pub(crate) fn give_up(ward: &Ward) {
     ward.executor.submit(move |_| {
         match stuck.object.try_enter() {
             Some(mut entered) => stuck.pay_safe(&mut entered),
-            // Inside it in a thread of its own, somebody's: that one pays when it looks at the mark on leaving.
+            // A thread of its own or of a caller is inside: that thread makes it safe when it looks at the
+            // mark on leaving.
             None => stuck.signal(),
         }
     });
@@ -49,7 +50,7 @@ fn make_safe_outside(instance: &Arc<Instance>) {
     let (stuck, made) = (instance.clone(), instance.account().made());
     let (comes_back, ends) = channel::<()>();
     let spawned = house::spawn(thread::Builder::new().name("trocar-safe".into()), move || {
-        // Dropped when it is over.
+        // Dropped when the call ends.
         let _comes_back = comes_back;
         match stuck.object.make_safe_from_outside() {
             Ok(()) => {
@@ -73,7 +74,7 @@ fn make_safe_outside(instance: &Arc<Instance>) {
     }
 }
 
-/// Says so when the other end of `ends` is still there after a time.
+/// Reports a hang if the other end of `ends` still exists after a time.
 fn tell_hang(stuck: &Instance, made: u32, ends: &Receiver<()>) {
     if ends.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
         let text = format!("it has not come back for {} s", PATIENCE.as_secs());
@@ -81,7 +82,8 @@ fn tell_hang(stuck: &Instance, made: u32, ends: &Receiver<()>) {
     }
 }
 
-/// Says that instance number `made` did not come to its safe condition; only to the log where another one has its place by now.
+/// Reports that instance number `made` did not get to its safe condition; only to the log if another one has
+/// its place by now.
 fn not_made_safe(stuck: &Instance, made: u32, e: &EntryError) {
     if stuck.is_closed() || stuck.account().made() != made {
         log::error!("{}: {OUTSIDE}, of an instance that is no more: {}", stuck.id, e.text);

@@ -1,7 +1,8 @@
-//! Threads of this process that the host did not start, and whose code did.
+//! Threads of this process that the host did not start, and the components whose code did.
 //!
-//! Invariant: a thread is told by its number in the kernel and when it began, never by its name alone. A look
-//! costs by the number of threads; a look that finds that nobody has started one since costs nothing more.
+//! Invariant: a thread is identified by its number in the kernel and its begin, never by its name alone. A
+//! look costs by the number of threads; a look that finds no thread started since the last one costs nothing
+//! more.
 
 #[cfg(test)]
 mod tests;
@@ -16,18 +17,18 @@ use super::super::executor;
 use super::hygiene::is_own_process;
 use super::roster::Ward;
 
-/// Numbers of threads that began at about the same time are less than this apart; where they are more, the
-/// kernel has come to its highest number and begun anew.
+/// Numbers of threads that began at about the same time differ by less than this; if they differ by more, the
+/// kernel has reached its highest number and begun anew.
 const NEAR: i32 = 1 << 14;
-/// Times that are so near, ticks, are not told apart: a thread has its number a moment before it begins.
+/// Times that are so near, ticks, count as equal: a thread has its number a moment before it begins.
 const TICKS: u64 = 1;
 
 /// A moment, as the kernel counts threads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Moment {
-    /// Since boot.
+    /// Ticks since boot.
     ticks: u64,
-    /// The number it gave last; `None` where it does not say.
+    /// The last number the kernel gave; `None` where it does not say.
     last: Option<i32>,
 }
 
@@ -37,12 +38,12 @@ impl Moment {
         Moment { ticks: os::boot_ticks(), last }
     }
 
-    /// For sure nobody has started a thread since.
+    /// Tells whether it is certain that no thread was started since.
     pub(super) fn is_still_so(&self) -> bool {
         self.last.is_some() && self.last == last_number()
     }
 
-    /// A thread of this number that began then came after this moment.
+    /// Tells whether a thread of this number and begin came after this moment.
     fn is_before(&self, tid: i32, began: u64) -> bool {
         match self.last {
             Some(last) if began.abs_diff(self.ticks) <= TICKS => match tid - last {
@@ -54,14 +55,14 @@ impl Moment {
     }
 }
 
-/// The number that the kernel gave last to a thread or process; it gives them upwards, and begins anew at the
+/// The number that the kernel last gave to a thread or process; numbers go upwards, and begin anew at the
 /// top.
 fn last_number() -> Option<i32> {
     let text = fs::read_to_string("/proc/loadavg").ok()?;
     text.split_ascii_whitespace().nth(4)?.parse().ok().filter(|last| *last > 0)
 }
 
-/// One of them.
+/// One such thread.
 #[derive(Debug)]
 pub(super) struct Stranger {
     pub(super) tid: i32,
@@ -70,20 +71,20 @@ pub(super) struct Stranger {
     began: u64,
 }
 
-/// All of them at one moment.
+/// All such threads at one moment.
 pub(crate) struct Strangers {
     threads: Vec<Stranger>,
     executors: BTreeSet<String>,
 }
 
 impl Strangers {
-    /// Looks. Not real-time.
+    /// Lists the threads. Not real-time.
     pub(crate) fn look() -> Strangers {
         #[cfg(test)]
         LISTS.with(|lists| lists.set(lists.get() + 1));
         let mut own = house::threads();
         let listed = threads::list();
-        // One that has come or gone meanwhile is on one of both lists.
+        // A thread that came or went meanwhile is on one of both lists.
         own.extend(house::threads());
         let unknown = listed.into_iter().filter(|tid| !own.contains(tid));
         let threads = unknown.map(|tid| Stranger { tid, name: name(tid), began: began(tid) });
@@ -91,19 +92,19 @@ impl Strangers {
         Strangers { threads: threads.collect(), executors: executor::names() }
     }
 
-    /// All that came after a moment.
+    /// All threads that came after a moment.
     pub(super) fn since(&self, moment: Moment) -> impl Iterator<Item = &Stranger> {
         self.threads.iter().filter(move |thread| moment.is_before(thread.tid, thread.began))
     }
 
-    /// Names of those that were started by the component's own code: they bear the name of its thread, as new
-    /// threads do, or came into being during one of its entries. What was there before it was made is not its
-    /// own: it may be of one removed that had its name.
+    /// Names of threads that the component's own code started: they have the name of its thread, as new
+    /// threads do, or appeared during one of its entries. A thread from before the component was made is not
+    /// its own: it may be of a removed component with the same name.
     pub(crate) fn left_behind(&self, ward: &Ward) -> Vec<String> {
         self.of(ward).map(|thread| thread.name.clone()).collect()
     }
 
-    /// One of those that `stop` should have ended still runs, as far as can be told: what was started by
+    /// Tells whether a thread that `stop` should have ended still runs, as far as known: threads started by
     /// `create` or `configure` may be for `destroy` to end.
     pub(crate) fn outlast_stop(&self, ward: &Ward) -> bool {
         self.of(ward).any(|thread| !ward.instance.lasts(thread.tid))
@@ -113,19 +114,19 @@ impl Strangers {
         let (own, executor) = (ward.executor.name.as_str(), ward.executor.tid());
         let (noted, made) = (ward.instance.brood(), ward.instance.made());
         let is_own = move |thread: &Stranger| {
-            // A thread without a name of its own belongs to the one whose name it bears.
+            // A thread without a name of its own belongs to the component whose name it has.
             let born = noted.get(&thread.tid) == Some(&thread.name) && !self.executors.contains(&thread.name);
             thread.name == own || born
         };
         let came_after = move |t: &Stranger| made.is_none_or(|made| made.is_before(t.tid, t.began));
-        // An executor that ends is off its list a moment before it is gone.
+        // An executor that ends leaves its list a moment before its thread is gone.
         self.threads.iter().filter(move |t| t.tid != executor && came_after(t) && is_own(t))
     }
 }
 
-/// A program that embeds a host has threads of its own runtime, which nobody has named.
+/// A program that embeds a host has threads of its own runtime, with default names.
 fn is_of_program(name: &str) -> bool {
-    // Tests run beside each other: a thread of another one, named by its path, is nobody's here.
+    // Tests run beside each other: a thread of another test, named by its path, belongs to no component here.
     #[cfg(test)]
     if name.contains("::") {
         return true;
@@ -133,13 +134,13 @@ fn is_of_program(name: &str) -> bool {
     !is_own_process() && name.starts_with("tokio")
 }
 
-/// Words of the kernel that this thread has asked for.
+/// Times this thread has read the kernel's last number.
 #[cfg(test)]
 fn looks() -> u64 {
     LOOKS.with(std::cell::Cell::get)
 }
 
-/// Lists of all threads that this thread has asked for.
+/// Times this thread has listed all threads.
 #[cfg(test)]
 pub(super) fn lists() -> u64 {
     LISTS.with(std::cell::Cell::get)

@@ -1,12 +1,14 @@
-//! What a component's thread leaves for the watchdog: where it is since when, how often it was late, what it did wrong.
+//! Notes of a component's thread for the watchdog: the entry it is in and since when, its late cycles, its
+//! misdeeds.
 //!
-//! Invariant: plain atomic words, written with one store each; nothing here waits, allocates or reads a clock.
+//! Invariant: plain atomic words, written with one store each; nothing here waits, allocates or reads a
+//! clock.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use trocar_model::Health;
 
-/// An entry of a component's class, as far as somebody may get stuck in it.
+/// An entry of a component's class in which a thread may get stuck.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub(crate) enum Entry {
@@ -63,13 +65,13 @@ impl Entry {
         }
     }
 
-    /// Belongs to the running component; the others make, start and end it, and may take longer.
+    /// True for entries of a running component; the others make, start and end it, and may take longer.
     pub(crate) fn runs(self) -> bool {
         matches!(self, Entry::Step | Entry::Command | Entry::Event | Entry::Callback | Entry::Service)
     }
 }
 
-/// Something a component did to its thread or process that it should not have.
+/// A change of its thread or process that a component should not have made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub(crate) enum Misdeed {
@@ -83,7 +85,7 @@ impl Misdeed {
     pub(super) const ALL: [Misdeed; 4] =
         [Misdeed::Rounding, Misdeed::Signals, Misdeed::Directory, Misdeed::RoundingInCall];
 
-    /// What is said of it.
+    /// Text of its warning.
     pub(super) fn says(self) -> &'static str {
         match self {
             Misdeed::Rounding => "step: it changed the rounding mode of its thread, which was put back",
@@ -101,7 +103,8 @@ const ENTRY_BITS: u64 = 4;
 /// The words between one component and the watchdog.
 #[derive(Default)]
 pub(crate) struct Watch {
-    /// When the entry that runs now began (ns, shifted up) and which it is; 0 between entries. A time of 0 is unknown.
+    /// Begin of the entry that runs now (ns, shifted up) and its kind; 0 between entries. A time of 0 is
+    /// unknown.
     busy: AtomicU64,
     /// Entries begun, so that two looks at the same word can be told apart.
     entries: AtomicU64,
@@ -110,13 +113,14 @@ pub(crate) struct Watch {
     overruns: AtomicU64,
     stops: AtomicU64,
     misdeeds: AtomicU32,
-    /// Those among them that were found while it was suspected.
+    /// Misdeeds among them that were found under suspicion.
     found_out: AtomicU32,
-    /// Looks at its manners begun and ended: odd while one of its entries looks after them itself.
+    /// Own looks at its manners begun and ended: odd while one of its entries looks itself.
     minded: AtomicU64,
-    /// It is one of several that may have done something: looked at after each of its steps.
+    /// True when it is one of several suspects: looked at after each of its steps.
     suspected: AtomicBool,
-    /// Found stuck while it could move something: its own thread makes it safe when it comes back.
+    /// Set when it was found stuck while it could move something: its own thread makes it safe when it
+    /// returns.
     owes_safe: AtomicBool,
     health: AtomicU32,
 }
@@ -127,7 +131,7 @@ pub(crate) struct Busy {
     pub(crate) entry: Entry,
     /// 0 = unknown.
     pub(crate) since_ns: u64,
-    /// The same in two looks while nobody left in between.
+    /// The same in two looks while no entry ended in between.
     pub(crate) ticket: u64,
 }
 
@@ -138,18 +142,19 @@ impl Watch {
         self.begin(Entry::Command, 0)
     }
 
-    /// Number of the command that runs; of one that just ended where none does.
+    /// Number of the command that runs; when none runs, of the last one.
     pub(super) fn command(&self) -> u32 {
         self.command.load(Ordering::Relaxed)
     }
 
-    /// Notes that `entry` begins; hands back what was noted before, for [`Watch::leave`]. `since_ns` 0 = not known here.
+    /// Notes that `entry` begins; returns the former note, for [`Watch::leave`]. `since_ns` 0 = not known
+    /// here.
     pub(crate) fn begin(&self, entry: Entry, since_ns: u64) -> u64 {
         let before = self.busy.load(Ordering::Relaxed);
         // An entry inside another counts from the outer one's begin, if that is known.
         let since = if since_ns == 0 { before >> ENTRY_BITS } else { since_ns };
         self.busy.store(since << ENTRY_BITS | entry as u64, Ordering::Relaxed);
-        // Only whoever is inside writes it.
+        // Only the thread inside writes it.
         self.entries.store(self.entries.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         before
     }
@@ -170,7 +175,7 @@ impl Watch {
         self.entries.load(Ordering::Relaxed)
     }
 
-    /// Counts a cycle that ended after the next was due; true when the watchdog should hear of it now.
+    /// Counts a cycle that ended after the next was due; true when the watchdog should look now.
     pub(crate) fn overran(&self) -> bool {
         self.overruns.store(self.overruns.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
         self.health() == Health::Ok
@@ -180,7 +185,7 @@ impl Watch {
         self.overruns.load(Ordering::Relaxed)
     }
 
-    /// Notes that it was stopped.
+    /// Notes that the component was stopped.
     pub(crate) fn stopped(&self) {
         self.stops.fetch_add(1, Ordering::Relaxed);
     }
@@ -194,23 +199,25 @@ impl Watch {
         self.misdeeds.fetch_or(what as u32, Ordering::Relaxed);
     }
 
-    /// An entry begins, or has ended, to look after the component's manners itself. Before its first look, after its last.
+    /// Notes that an entry begins, or has ended, to check the component's manners itself. Called before its
+    /// first look and after its last.
     pub(super) fn mind(&self) {
         self.minded.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Odd: whatever is found now belongs to the entry that looks; the same word in two looks: nothing began or ended.
+    /// Odd: a change found now belongs to the entry that looks. The same word in two looks: no such entry
+    /// began or ended.
     pub(super) fn minded(&self) -> u64 {
         self.minded.load(Ordering::SeqCst)
     }
 
-    /// Notes a misdeed that was found because it was suspected.
+    /// Notes a misdeed that was found under suspicion.
     pub(super) fn find_out(&self, what: Misdeed) {
         self.found_out.fetch_or(what as u32, Ordering::Relaxed);
         self.misdeed(what);
     }
 
-    /// True when it was found out since this was asked last.
+    /// True when it was found out since the last call.
     pub(super) fn takes_found_out(&self, what: Misdeed) -> bool {
         self.found_out.fetch_and(!(what as u32), Ordering::Relaxed) & what as u32 != 0
     }
@@ -229,7 +236,7 @@ impl Watch {
         if self.misdeeds.load(Ordering::Relaxed) == 0 { 0 } else { self.misdeeds.swap(0, Ordering::Relaxed) }
     }
 
-    /// Its own thread is to make it safe; false when it was to already.
+    /// Notes that its own thread has to make it safe; false when that was noted already.
     pub(crate) fn owe_safe(&self) -> bool {
         !self.owes_safe.swap(true, Ordering::AcqRel)
     }
@@ -243,7 +250,7 @@ impl Watch {
         self.owes_safe.load(Ordering::Relaxed) && self.owes_safe.swap(false, Ordering::AcqRel)
     }
 
-    /// The health the world was last told.
+    /// The health as last reported.
     pub(crate) fn health(&self) -> Health {
         match self.health.load(Ordering::Relaxed) {
             0 => Health::Ok,
@@ -254,7 +261,7 @@ impl Watch {
         }
     }
 
-    /// Sets it; answers what it was before.
+    /// Sets the health; returns the former one.
     pub(crate) fn set_health(&self, health: Health) -> Health {
         let before = self.health();
         let word = match health {

@@ -1,8 +1,8 @@
-//! The watchdog: one thread that looks at every component and tells how it is.
+//! The watchdog: one thread that looks at every component and reports its health.
 //!
-//! Invariant: it never enters a component and never waits for one; a look costs some loads per component. It looks once in
-//! the shortest period (5 to 10 ms: it comes between the steps of everybody, and patience begins at 50 ms), when somebody inside
-//! comes to the end of what it may take, and when a late cycle wakes it.
+//! Invariant: it never enters a component and never waits for one; a look costs some loads per component. It
+//! looks once in the shortest period (5 to 10 ms: it comes between the steps of all components, and patience
+//! begins at 50 ms), when the patience for a running entry ends, and when a late cycle wakes it.
 
 use std::cell::OnceCell;
 use std::collections::HashMap;
@@ -21,13 +21,15 @@ use super::last;
 use super::roster::{Roster, Ward};
 use super::strangers::Strangers;
 
-/// Shortest and longest time between two looks, ns; in between it is the shortest period of a running component.
+/// Shortest and longest time between two looks, ns; between these limits it is the shortest period of a
+/// running component.
 const LOOK_NS: (u64, u64) = (5_000_000, 10_000_000);
-/// Least time between two looks, however soon somebody comes to the end of what it may take, ns.
+/// Shortest time between two looks, however soon the patience for an entry ends, ns.
 const SOONEST_NS: u64 = 1_000_000;
-/// Least time between two looks per component, so that looking stays cheap with many of them, ns.
+/// Shortest time between two looks per component, ns, so that looks stay cheap with many components.
 const LOOK_EACH_NS: u64 = 10_000;
-/// Waking up takes up to this long, ns: of the hundreds of looks in one patience it must not add up to a pardon.
+/// Longest time of a wake that does not count as lateness, ns: over the hundreds of looks in one patience it
+/// must not add up to a pardon.
 const WAKING_NS: u64 = 250_000;
 
 /// The watchdog of one LCM.
@@ -38,7 +40,7 @@ pub(crate) struct Watchdog {
 }
 
 impl Watchdog {
-    /// Starts looking.
+    /// Starts the thread.
     ///
     /// # Errors
     /// The machine gives no more threads.
@@ -53,7 +55,7 @@ impl Watchdog {
         Ok(Watchdog { hub, stop, thread: Mutex::new(Some(thread)) })
     }
 
-    /// Ends it and waits for its end.
+    /// Ends the thread and waits for its end.
     pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::Release);
         self.hub.watch.notify();
@@ -73,38 +75,38 @@ impl Drop for Watchdog {
     }
 }
 
-/// Looks until `stop`, also after a breakdown in a program that goes on then.
+/// Looks until `stop`; also after a breakdown, if the program goes on then.
 fn keep_looking(hub: &Hub, roster: &Roster, stop: &AtomicBool) {
     while let Some(panic) = house::breakdown(|| Rounds::default().run(hub, roster, stop)) {
         last::cannot_go_on(hub, format!("its watchdog broke down: {panic}"));
-        // Should it break down in each look, it does so at its usual pace.
+        // If each look breaks down, this happens at the usual pace.
         hub.watch.wait(Some(os::now_ns() + LOOK_NS.1));
     }
 }
 
-/// How long the watchdog was itself kept from looking, summed up, ns.
+/// Time for which the watchdog was itself kept from looking, in total, ns.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Lateness {
     pub(super) now_ns: u64,
-    /// At the look before.
+    /// Total at the look before.
     pub(super) before_ns: u64,
 }
 
 impl Lateness {
-    /// One more look, which was due at `due_ns`.
+    /// Adds one look, which was due at `due_ns`.
     fn look(&mut self, due_ns: u64, now_ns: u64) {
         self.before_ns = self.now_ns;
         self.now_ns += now_ns.saturating_sub(due_ns + WAKING_NS);
     }
 
-    /// How it was when something began that is seen for the first time now. What has kept the watchdog since has kept that, too: it was not
-    /// there at the look before.
+    /// The total at the begin of an entry that is seen for the first time now. A delay of the watchdog since
+    /// then has delayed the entry, too: it was not there at the look before.
     pub(super) fn at(self, since_ns: u64, now_ns: u64) -> u64 {
         self.now_ns - (self.now_ns - self.before_ns).min(now_ns.saturating_sub(since_ns))
     }
 }
 
-/// What the watchdog knows from its earlier looks.
+/// Knowledge of the watchdog from its earlier looks.
 #[derive(Default)]
 struct Rounds {
     charges: Vec<Charge>,
@@ -134,7 +136,8 @@ impl Rounds {
         }
     }
 
-    /// The components: who is stuck, whose thread is held by that one, how the others are.
+    /// Looks at the components: those that are stuck, those whose thread is held by a stuck one, and the
+    /// others.
     fn look(&mut self, now_ns: u64) {
         let late = self.late;
         let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
@@ -142,14 +145,14 @@ impl Rounds {
         for (at, why) in stuck.into_iter().enumerate() {
             let why = why.or_else(|| {
                 let held = holders.iter().filter_map(|by| self.charges[*by].holds(&self.charges[at]));
-                // Where one is inside another, the innermost came in last.
+                // If one is inside another, the innermost came in last.
                 held.max_by_key(|(since_ns, _)| *since_ns).map(|(_, why)| why)
             });
             self.charges[at].look(now_ns, why);
         }
     }
 
-    /// The process and its threads: what components should have left as it was.
+    /// Looks at the process and its threads, which components should leave as they were.
     fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
         let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
         descriptors::look(hub, &wards, &mut self.turns);
@@ -160,18 +163,18 @@ impl Rounds {
             if commanded.is_empty() { those(Charge::entered).collect() } else { commanded }
         };
         let settled = self.premises.look(now_ns, &wards, || roster.has_only(&wards), busy);
-        // One look serves all that have come to rest, and none costs nothing.
+        // One look serves all components that have come to rest; if there are none, it costs nothing.
         let strangers = OnceCell::new();
         for (charge, counts) in self.charges.iter_mut().zip(counts) {
             charge.look_behind(now_ns, || strangers.get_or_init(Strangers::look));
-            // Those that may have done what is not settled yet stay known.
+            // Components that may have made an unsettled change stay noted.
             if settled {
                 charge.note(counts);
             }
         }
     }
 
-    /// Another list of components; what is known of those that stay is kept.
+    /// Takes another list of components; keeps the knowledge about those that stay.
     fn take(&mut self, wards: Vec<Ward>) {
         let before = std::mem::take(&mut self.charges).into_iter();
         let mut before: HashMap<u32, Charge> = before.map(|c| (c.ward.instance.number, c)).collect();
@@ -185,7 +188,7 @@ impl Rounds {
         self.rise();
     }
 
-    /// Goes above the highest real-time priority of a component, where the machine allows it.
+    /// Raises its priority above the highest real-time priority of a component, where the machine allows it.
     fn rise(&mut self) {
         let highest = self.charges.iter().map(|c| c.ward.executor.settings.priority()).max().unwrap_or(0);
         if highest == 0 || highest < self.priority {
@@ -197,7 +200,7 @@ impl Rounds {
         }
     }
 
-    /// When to look again, ns.
+    /// Time of the next look, ns.
     fn next_ns(&self, now_ns: u64) -> u64 {
         let running = self.charges.iter().map(|c| &c.ward.instance).filter(|i| i.is_active());
         let shortest = running.map(|i| i.pace_ns()).min().unwrap_or(LOOK_NS.1);

@@ -12,7 +12,7 @@ use super::*;
 
 /// Steps that are watched.
 const STEPS: u64 = 10_000;
-/// Steps before, in which first uses may allocate.
+/// Steps before the watch, in which first uses may allocate.
 const WARM: u64 = 100;
 
 /// Watches the allocations of its thread over `STEPS` of its steps.
@@ -54,7 +54,7 @@ impl Behaviour for Watched {
     }
 }
 
-/// Does nothing but write its output.
+/// Only writes its output.
 struct Writes;
 
 impl Behaviour for Writes {
@@ -254,7 +254,7 @@ impl Behaviour for Fails {
     }
 }
 
-/// Takes what its input brings.
+/// Takes the samples of its input.
 #[derive(Default)]
 struct Takes {
     watched: Watched,
@@ -317,7 +317,7 @@ async fn samples_that_are_adapted_to_another_layout_arrive_whole_and_allocate_no
     world.end().await;
 }
 
-/// What is written in the n-th cycle: a pair, an array of two, and a list that holds one; as each end has it.
+/// Values of the n-th cycle: a pair, an array of two, and a list that holds one; in the layout of each end.
 fn shape(n: u64) -> ([u64; 11], [u64; 11]) {
     let (a, b) = (|k| 100 * n + k, |k| 100 * n + 50 + k);
     (
@@ -336,7 +336,7 @@ impl Behaviour for WritesShape {
     }
 }
 
-/// Takes shapes, and keeps the first that is none.
+/// Takes shapes, and keeps the first wrong one.
 #[derive(Default)]
 struct TakesShape {
     watched: Watched,
@@ -349,7 +349,7 @@ impl Behaviour for TakesShape {
         self.watched.count();
         if let Some((came, _)) = own.take_words::<11>(0) {
             self.taken.fetch_add(1, Ordering::Relaxed);
-            // Its tip's `a` says which one it is.
+            // The `a` of its tip tells the cycle.
             if came != shape(came[10] / 100).1 {
                 self.torn.lock().unwrap().get_or_insert(came);
             }
@@ -369,7 +369,7 @@ async fn slices_on_several_threads_allocate_nothing() {
     world.end().await;
 }
 
-/// Has eight slices done in each step, on three threads.
+/// Runs eight slices in each step, on three threads.
 struct Sliced(Watched);
 
 impl Behaviour for Sliced {

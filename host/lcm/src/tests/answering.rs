@@ -1,6 +1,6 @@
-//! What whoever is answered finds when he looks next.
+//! State of a component that a caller finds right after its answer.
 //!
-//! Promise: nobody is told that something failed before it stands so.
+//! Promise: no caller is told of a failure before the state shows it.
 
 use super::super::boundary::fake::Own;
 use super::*;
@@ -11,7 +11,7 @@ struct Panics(&'static str);
 impl Panics {
     fn pass(&self, entry: &str) -> Result<(), String> {
         if self.0 == entry {
-            // Without the words of the hook, hundreds of times.
+            // Without the output of the panic hook, hundreds of times.
             std::panic::resume_unwind(Box::new("chaos"));
         }
         Ok(())
@@ -33,7 +33,7 @@ impl Behaviour for Panics {
     }
 }
 
-/// What components see of it.
+/// State of the component as other components see it.
 async fn get_state(world: &World, name: &str) -> serde_json::Value {
     let member = MemberId::parse(&format!("{}/{name}/system/GetState", world.process)).unwrap();
     let call = Invoke { member, arg: Payload::None, send: false, deadline_ns: 0 };

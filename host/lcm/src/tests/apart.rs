@@ -1,7 +1,8 @@
-//! Reads of a component in another process, from inside a step: those every component has, and those of a class whose code is in both
-//! processes or only in that of the component.
+//! Reads of a component in another process, from inside a step: those of every component, and those of a
+//! class whose code is in both processes or only in that of the component.
 //!
-//! Promise: where the code is, they are answered at once and as inside one process; elsewhere a step is told that it would wait.
+//! Promise: where the code is present, reads are answered at once and as inside one process; elsewhere a step
+//! is told that it would wait.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,7 +23,7 @@ struct Pair {
 }
 
 impl Pair {
-    /// The client's process has those classes.
+    /// A pair whose client's process has those classes.
     fn of(names: [&'static str; 2], classes: Arc<dyn Classes>) -> Pair {
         let dir = tempfile::tempdir().unwrap();
         let socket = |name: &str| Some(dir.path().join(name));
@@ -73,7 +74,7 @@ impl Behaviour for Steps {
 /// Looks at GetState and `period_statistics` in each step.
 #[derive(Default)]
 struct Looks {
-    /// Cycles of the server, as it saw them last.
+    /// Cycles of the server at the last look.
     executed: AtomicU64,
     active: AtomicU64,
 }
@@ -98,7 +99,7 @@ impl Behaviour for Looks {
             return Err(format!("GetState came to {outcome} with a stamp that is not of now"));
         }
         let (outcome, figures) = own.ask(1);
-        // Nothing is there before the first look of the watchdog.
+        // No statistics exist before the first look of the watchdog.
         if outcome == EXECUTED {
             self.executed.store(word(&figures, EXECUTED_AT), Ordering::SeqCst);
         }
@@ -157,7 +158,7 @@ fn classes() -> (ClassInfo, ClassInfo) {
     (class(required, Safety::None), class(served, Safety::None))
 }
 
-/// Reads in each step; what that came to last, and what it allocated.
+/// Reads in each step; keeps the last result, and its allocations.
 struct Reads {
     arg: u64,
     answer: Mutex<Option<(Outcome, u64)>>,
@@ -191,7 +192,7 @@ impl Behaviour for Reads {
     }
 }
 
-/// The client reads with `arg` at each of its steps.
+/// Starts a client that reads with `arg` at each of its steps.
 async fn reading(names: [&'static str; 2], arg: u64, present: bool) -> (Pair, Arc<Reads>) {
     let (client, server) = classes();
     let classes: Arc<dyn Classes> =
@@ -217,7 +218,7 @@ async fn a_step_reads_a_component_of_another_process_whose_class_is_in_its_own()
     eventually("a step has read", || reads.last() == Some((EXECUTED, 7))).await;
     eventually("it reads on", || reads.times.load(Ordering::SeqCst) > 100).await;
     assert_eq!(reads.allocated.load(Ordering::SeqCst), 0, "a read in a step allocated");
-    // A server that rests is read as before.
+    // A server that is stopped is read as before.
     pair.right.run("server", Verb::Stop).await.unwrap();
     let so_far = asked.load(Ordering::SeqCst);
     eventually("it is read on", || asked.load(Ordering::SeqCst) > so_far + 10).await;

@@ -43,7 +43,7 @@ async fn a_thread_hears_as_many_bells_as_the_kernel_lets_it_and_refuses_one_more
         bell.notify();
         eventually("a step for the bell", || counter.0.load(Ordering::SeqCst) > rung as u64).await;
     }
-    // One that goes makes room for another.
+    // Removing a bell makes room for another.
     ears.remove_bell(bells[5].clone());
     let late = bell();
     ears.add_bell(late.clone(), instance.clone()).unwrap();

@@ -1,6 +1,7 @@
 //! Frames: a branch that takes none never slows the trunk, and a stream is rewired while its frames flow.
 //!
-//! Promise: each frame made arrives or is a counted drop, the camera never lacks a slot, and all slots come back.
+//! Promise: each frame made arrives or is a counted drop, the camera never lacks a slot, and all slots come
+//! back.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -54,7 +55,7 @@ impl Behaviour for Camera {
     }
 }
 
-/// Takes all frames that wait, and keeps the last one in its hands.
+/// Takes all frames that wait, and still holds the last one.
 #[derive(Default)]
 struct Screen(Mutex<Vec<u64>>);
 
@@ -87,7 +88,7 @@ impl Behaviour for Filter {
     }
 }
 
-/// What becomes of a branch after its first frames.
+/// End of a branch after its first frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum End {
     Stopped,
@@ -95,7 +96,7 @@ enum End {
     Fails,
 }
 
-/// A screen that comes to an end of some kind with its fifth frame, once.
+/// A screen that ends in one of these ways with its fifth frame, once.
 struct Branch {
     screen: Screen,
     end: End,
@@ -187,7 +188,8 @@ fn stream() -> Execution {
     Execution { period_ns: Some(1_000_000), ..model(ExecutionModel::Stream) }
 }
 
-/// camera → screen in one stream, and a branch with a deep queue on a thread of its own that comes to this end.
+/// Wires camera → screen, in one stream or `apart`, and on a thread of its own a branch with a deep queue,
+/// which ends in this way.
 async fn the_trunk_misses_nothing(process: &'static str, end: End, drop_oldest: bool, apart: bool) {
     let world = World::new(process);
     let (camera, screen) = (Arc::new(Camera::default()), Arc::new(Screen::default()));
@@ -222,10 +224,10 @@ async fn the_trunk_misses_nothing(process: &'static str, end: End, drop_oldest: 
     assert_eq!((trunk.passed, trunk.dropped), (seen.len() as u64, made - seen.len() as u64), "{trunk:?}");
     let (half, most) = (trunk.latency_p50_ns, trunk.latency_p99_ns);
     assert!(0 < half && half <= most, "ages of frames: {trunk:?}");
-    // On a thread of its own it may be late by itself.
+    // A screen on a thread of its own may be late by itself.
     assert!(apart || trunk.dropped == 0, "{trunk:?}");
 
-    // What is left in its queue is taken by the branch once it goes on.
+    // The branch takes the frames left in its queue once it goes on.
     match end {
         End::Stopped => drop(world.run("branch", Verb::Resume).await.unwrap()),
         End::Hangs => open.send(()).unwrap(),
@@ -266,7 +268,7 @@ async fn a_branch_in_fault_costs_the_trunk_no_frame() {
     the_trunk_misses_nothing("b_fails_apart", End::Fails, true, true).await;
 }
 
-/// Nobody pushes into the full branch any more that could make room there: what it was left must be enough.
+/// No later push makes room in the full branch: the slots it leaves free must be enough.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_filter_that_stops_in_front_of_a_full_branch_costs_the_trunk_no_frame() {
     for (process, drop_oldest) in [("b_behind", true), ("b_behind_newest", false)] {
@@ -300,7 +302,8 @@ async fn a_filter_that_stops_in_front_of_a_full_branch_costs_the_trunk_no_frame(
     }
 }
 
-/// One wiring of `screen` after another while frames flow: what is missing is missing there, and comes to nothing else.
+/// Rewires `screen` again and again while frames flow: frames may be missing at the rewirings only, and
+/// nothing else goes wrong.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_filter_of_frames_comes_into_a_running_stream_and_goes_again_and_every_slot_comes_back() {
     let world = World::new("b_filter");
@@ -352,7 +355,8 @@ async fn a_filter_of_frames_comes_into_a_running_stream_and_goes_again_and_every
     world.end().await;
 }
 
-/// A cycle that hangs keeps what it may look at; frames that wait for readers cut off meanwhile are none of that.
+/// A hanging cycle keeps the objects it may look at, but not the frames that wait for readers cut off
+/// meanwhile.
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_of_readers_that_are_cut_off_come_back_although_a_cycle_of_another_component_hangs() {
     let world = World::new("b_hung");
@@ -376,7 +380,7 @@ async fn frames_of_readers_that_are_cut_off_come_back_although_a_cycle_of_anothe
     world.run("camera", Verb::Stop).await.unwrap();
 
     let cycle = LongCycle::begin();
-    // The one that looks stays, and lets go by looking.
+    // The screen that looks stays, and lets go by looking.
     for (number, (name, _)) in (1..).zip(&screens) {
         world.cut(world.wire(number, &format!("{name}/in"), "camera/out", options.clone()), false).await;
     }
@@ -391,7 +395,7 @@ async fn frames_of_readers_that_are_cut_off_come_back_although_a_cycle_of_anothe
     world.end().await;
 }
 
-/// A link of shared memory carries frames of sixteen pools in its life. The screen has a frame in its hands at every cut.
+/// A link of shared memory carries frames of at most sixteen pools. The screen holds a frame at every cut.
 #[tokio::test(flavor = "multi_thread")]
 async fn shared_memory_that_has_seen_too_many_pools_is_made_anew_and_every_slot_comes_back() {
     let world = World::new("b_pools");

@@ -1,4 +1,4 @@
-//! Threads of devices that call in: what they may do inside, and that they go on outside as before.
+//! Threads of devices that call in: permitted actions inside, and the state they resume outside.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -33,7 +33,7 @@ async fn device(world: &World, name: &str) -> Device {
     called.device.lock().unwrap().unwrap()
 }
 
-/// What this thread is doing: the component whose code it runs, and whether it may not wait.
+/// Activity of this thread: the component whose code it runs, and whether it may not wait.
 fn doing() -> (usize, bool) {
     (context::component() as usize, context::stepping())
 }
@@ -52,7 +52,7 @@ async fn a_callback_is_a_step_and_its_thread_goes_on_with_what_it_did_before() {
         seen.push(doing());
         outer.leave();
         seen.push(doing());
-        // A leave too many changes nothing.
+        // One leave too many changes nothing.
         outer.leave();
         seen.push(doing());
         seen

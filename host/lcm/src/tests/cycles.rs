@@ -1,4 +1,4 @@
-//! One cycle: what is counted of a component that leaves ACTIVE in the middle of it.
+//! One cycle: the counts of a component that leaves ACTIVE in the middle of it.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,7 +15,7 @@ use super::*;
 
 type Act = Box<dyn FnMut() + Send>;
 
-/// Counts its steps, and does in its step, or in its command, what the test wants.
+/// Counts its steps, and acts in its step, or in its command, as the test wants.
 #[derive(Default)]
 struct Acting {
     act: Mutex<Option<Act>>,
@@ -64,13 +64,13 @@ async fn a_cycle_in_which_it_was_stopped_before_its_step_is_not_counted_as_execu
         let instance = instance.clone();
         Some(Box::new(move || instance.set_state(state, "")))
     };
-    // On a thread that counts as its own, so that what is sent to it wakes nobody else.
+    // On a thread that counts as its own, so that a command sent to it wakes no other thread.
     let runtime = tokio::runtime::Handle::current();
     let run = |sent: bool| {
         let one = || {
             context::set_executor(head.executor_id());
             if sent {
-                // Somebody is inside: it waits in the queue.
+                // A thread is inside: the command waits in the queue.
                 let somebody = head.object.try_enter().unwrap();
                 runtime.block_on(world.send("head"));
                 drop(somebody);
@@ -89,14 +89,14 @@ async fn a_cycle_in_which_it_was_stopped_before_its_step_is_not_counted_as_execu
     run(false);
     assert_eq!((counted(&head), counted(&member)), ((1, 0), (1, 0)), "a cycle as any");
 
-    // What runs inside it steps first, and it is stopped meanwhile: nothing of this cycle is its own.
+    // The inner component steps first, and the head is stopped meanwhile: this cycle does not count for it.
     *before.act.lock().unwrap() = comes_to(&head, State::Ready);
     run(false);
     assert_eq!(served.steps.load(Ordering::SeqCst), 1, "it does not step when it was stopped");
     assert_eq!(counted(&head), (1, 0), "neither executed nor left out");
     assert_eq!(counted(&member), (2, 3), "who stepped is counted");
 
-    // It fails in what was queued for it, right before its step.
+    // The head fails in its queued command, right before its step.
     *before.act.lock().unwrap() = None;
     *served.act.lock().unwrap() = comes_to(&head, State::Fault);
     head.set_state(State::Active, "");

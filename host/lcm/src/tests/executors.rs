@@ -1,4 +1,4 @@
-//! Where threads come from: every execution model steps as it says, in the order it says.
+//! Execution models: each one steps as it says, in the order it says.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -156,7 +156,7 @@ async fn filters_of_a_stream_step_in_its_cycle_along_their_connections() {
     world.end().await;
 }
 
-/// Writes something to its output at each step.
+/// Writes a sample to its output at each step.
 struct Filter(Arc<Named>);
 
 impl Behaviour for Filter {
@@ -206,7 +206,7 @@ async fn a_device_calls_in_one_thread_at_a_time_and_commands_run_when_it_leaves_
     assert_eq!(device.enter(), WOULD_BLOCK);
     let call = world.call("device");
     let calls = async {
-        // Queued behind the callback; leaving runs it.
+        // The call is queued behind the callback; leaving runs it.
         tokio::task::yield_now().await;
         go.send(()).unwrap();
     };
@@ -300,7 +300,7 @@ async fn frames_pass_a_filter_that_failed_when_it_says_so_and_stop_there_otherwi
     for name in ["passes", "stops"] {
         world.eventually("FAULT", name, |r| r.state == State::Fault).await;
     }
-    // The cycle in which it failed is over: what it wrote before that was taken.
+    // The cycle in which it failed is over: the samples from before that were taken.
     let then = sinks[0].steps();
     eventually("two more cycles", || sinks[0].steps() > then + 1).await;
     let stopped = sinks[1].steps();
@@ -346,14 +346,14 @@ async fn nothing_runs_inside_a_component_whose_steps_are_calls_of_its_device() {
     world.end().await;
 }
 
-/// Tells when it is inside its command, and stays there until it is told to go on.
+/// Tells when it is inside its command, and stays there until the test lets go.
 struct Held {
     named: Arc<Named>,
     gate: Mutex<(mpsc::Sender<()>, mpsc::Receiver<()>)>,
 }
 
 impl Held {
-    /// Itself, what it tells, and what it waits for.
+    /// Returns the component, the receiver of its messages, and the sender that lets it go.
     fn new(named: Arc<Named>) -> (Arc<Held>, mpsc::Receiver<()>, mpsc::Sender<()>) {
         let ((tell, told), (go, gone)) = (mpsc::channel(), mpsc::channel());
         (Arc::new(Held { named, gate: Mutex::new((tell, gone)) }), told, go)
@@ -371,9 +371,9 @@ impl Behaviour for Held {
     }
 }
 
-/// `inner` runs inside `host`, which is the head itself or a filter of it. While a command of `inner` is run in a cycle that
-/// has asked `host` already, there comes one for `host`. Once in many rounds the thread is not asleep yet, and runs `inner`
-/// between two cycles.
+/// `inner` runs inside `host`, which is the head itself or a filter of it. While a command of `inner` runs in
+/// a cycle that has asked `host` already, a command for `host` comes. In rare rounds the thread is not asleep
+/// yet, and runs `inner` between two cycles.
 async fn commands_in_the_middle_of_cycles(process: &'static str, head: Execution, host: &str) {
     let (world, log) = (World::new(process), log());
     let ports = || class(ctl(), Safety::None);

@@ -1,4 +1,4 @@
-//! Filters of a stream: what passes one that failed, and what is counted as theirs.
+//! Filters of a stream: samples that pass a failed one, and the counts of filters.
 
 use std::sync::Mutex;
 use std::thread;
@@ -12,7 +12,7 @@ use super::super::cycle::{self, Follow, Member};
 use super::super::{context, instance::Instance};
 use super::*;
 
-/// Samples written in one command: more than a cycle of anybody would look at one by one.
+/// Samples written in one command: more than a cycle looks at one by one.
 const BURST: u64 = 200;
 
 /// Writes one sample in its first command, and a burst in every later one.
@@ -39,7 +39,7 @@ impl Behaviour for Fails {
     }
 }
 
-/// Takes whatever is there.
+/// Takes every sample that waits.
 #[derive(Default)]
 struct Sink(Mutex<Vec<u64>>);
 
@@ -67,7 +67,8 @@ async fn create_source(world: &World) {
     world.create_as("source", class, model(ExecutionModel::OnSignal), source).await;
 }
 
-/// A source on a thread of its own, a filter that fails at its first sample, and a sink, on the thread of `head`.
+/// Checks a source on a thread of its own, and on the thread of `head` a filter that fails at its first
+/// sample, and a sink.
 async fn all_that_comes_passes(process: &'static str, head: Execution) {
     let world = World::new(process);
     let sink = Arc::new(Sink::default());
@@ -131,7 +132,7 @@ async fn a_head_that_failed_lets_pass_what_comes_for_it_on_any_grid() {
     }
 }
 
-/// Cycles executed and left out, in an instance's own figures.
+/// Cycles executed and left out, by an instance's own statistics.
 pub(super) fn counted(instance: &Instance) -> (u64, u64) {
     let stats = instance.stats.snapshot();
     (stats.executed, stats.skipped)
@@ -150,7 +151,7 @@ async fn periods_that_its_thread_left_out_are_not_charged_to_a_filter_nor_to_wha
     for name in ["of_filter", "of_head", "head"] {
         world.start(name).await;
     }
-    // It has no source, and needs none here.
+    // The filter has no source, and needs none here.
     world.start("filter").await;
     let of = |name: &str| world.lcm.instance(&world.id(name)).unwrap();
     let [head, filter, of_head, of_filter] = ["head", "filter", "of_head", "of_filter"].map(of);

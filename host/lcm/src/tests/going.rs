@@ -1,11 +1,12 @@
-//! What callers get who wait for a component that is taken from them: stopped it is not ACTIVE, removed it is gone.
+//! Outcomes for callers that wait for a component that is taken away: stopped it is not ACTIVE, removed it is
+//! gone.
 
 use trocar_model::StopReason;
 
 use super::standing::Held;
 use super::*;
 
-/// What a waiting and a later caller get, while its step lasts.
+/// Refusals of a waiting and a later caller, while the component's step lasts.
 async fn turned_away(process: &'static str, verb: Verb) -> [Refusal; 2] {
     let world = World::new(process);
     let (held, open) = Held::at("step", "");

@@ -1,4 +1,4 @@
-//! Nothing is kept of what is refused or gone: threads end, and what was asked of them is let go of.
+//! Leftovers: a refused or removed component keeps nothing; its threads end, and their jobs are dropped.
 
 use std::sync::mpsc::{Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
@@ -33,7 +33,7 @@ fn component() -> Box<Component> {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_component_that_could_not_be_created_leaves_no_thread_and_its_name_is_free() {
     let world = World::new("lv_refused");
-    // Nobody has said what it does, so it is not made.
+    // No test has set its behaviour, so it is not made.
     let id = world.id("lv-ghost");
     for _ in 0..3 {
         let refused =
@@ -88,7 +88,8 @@ impl LongCycle {
     }
 }
 
-/// The remains of a component are kept for long, what others lent or own is not: neither at once nor later.
+/// The remains of a component are kept for long, but not the objects lent or owned by others: neither at once
+/// nor later.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_frame_memory_of_a_removed_component_is_freed_although_a_cycle_was_under_way() {
     let world = World::new("lv_pool");
@@ -107,8 +108,8 @@ async fn the_frame_memory_of_a_removed_component_is_freed_although_a_cycle_was_u
     world.end().await;
 }
 
-/// Whoever looked at a wire when it was cut holds the component behind it, and that one may hold the first: a circle nobody
-/// drops any more once nobody looks after it.
+/// A cycle that looked at a wire when it was cut holds the component behind it, and that component may hold
+/// the first one: a circle that is never dropped once the follower has ended.
 #[tokio::test(flavor = "multi_thread")]
 async fn components_that_were_connected_to_each_other_are_gone_with_their_process_although_a_cycle_was_under_way()
  {
@@ -122,7 +123,8 @@ async fn components_that_were_connected_to_each_other_are_gone_with_their_proces
     let kept = ["a", "b"].map(|name| Arc::downgrade(&world.lcm.instance(&world.id(name)).unwrap()));
     let (begun, began) = channel();
     let lcm = Arc::downgrade(&world.lcm);
-    // As a cycle of another thread: it begins before the cut and ends when nobody follows any more what was cut.
+    // Acts as a cycle of another thread: it begins before the cut and ends when cut wires are followed no
+    // more.
     let cycle = std::thread::spawn(move || {
         trocar_rt::turn::run(|| {
             begun.send(()).unwrap();

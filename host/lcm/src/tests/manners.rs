@@ -1,4 +1,5 @@
-//! Bad manners towards others, each named in the state of whoever is concerned; and that nobody pays for another's fault.
+//! Bad manners towards others: each is named in the state of the component that did it, and no component pays
+//! for the fault of another.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};

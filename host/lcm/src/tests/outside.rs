@@ -1,4 +1,4 @@
-//! Followers from outside: each gets what there is, at its own pace, and the component pushes once for all of
+//! Followers from outside: each gets the items at its own pace, and the component pushes once for all of
 //! them.
 
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use super::super::{Item, ItemKind, Selection, When};
 use super::removal::destroy;
 use super::*;
 
-/// Many, as a page for everybody in a theatre has.
+/// Number of followers: many, as of a page for everybody in a theatre.
 const MANY: usize = 100;
 
 /// Writes 1, 2, 3, …
@@ -66,7 +66,7 @@ async fn however_many_follow_an_output_its_component_pushes_once() {
     assert_eq!(world.readers(), 1);
     world.start("source").await;
     let mut seen = BTreeMap::<u64, usize>::new();
-    // All are given something, and the same number never twice.
+    // All are given items, and the same number never twice.
     while seen.values().copied().max() != Some(MANY) {
         let item = told.recv().await.unwrap();
         assert_eq!((item.kind, &item.value), (ItemKind::Stream, &json!(item.seq)));

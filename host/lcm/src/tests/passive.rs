@@ -1,5 +1,5 @@
-//! Components that run in their callers' threads: nothing queued is forgotten, nobody is kept for others, whoever hangs in one
-//! gets an answer.
+//! Components that run in their callers' threads: no queued call is forgotten, no caller is kept to run the
+//! calls of others, and a caller that hangs in one gets an answer.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -45,8 +45,8 @@ impl Behaviour for Server {
     }
 }
 
-/// Rounds in which two clients call at the same moment. A command that is forgotten is a matter of luck: many runs find more
-/// than one long one, which would starve on a machine that is busy.
+/// Rounds in which two clients call at the same moment. A forgotten command is a matter of luck: many runs
+/// find more than one long one, which would starve on a busy machine.
 const ROUNDS: u64 = 2_000;
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,5 +1,4 @@
-//! The components of a process step at the places in their periods that they are given, and never against what
-//! was asked for.
+//! The components of a process step at their given phases; a phase that was asked for stays.
 
 use std::sync::Mutex;
 

@@ -1,5 +1,5 @@
-//! Components that change the working directory or the umask, in processes of their own: both are
-//! everybody's.
+//! Components that change the working directory or the umask, in processes of their own: both belong to the
+//! whole process.
 
 use std::env;
 use std::process::Command as Process;
@@ -12,10 +12,10 @@ use trocar_plugin_api::abi::Tick;
 use super::super::boundary::fake::{Own, set_umask};
 use super::*;
 
-/// Says that this is the process made for it.
+/// Marks the process made for the test.
 const CHILD: &str = "TROCAR_PREMISES_CHILD";
 
-/// Goes elsewhere in the entry it is told to.
+/// Changes the working directory in the given entry.
 struct Strays(&'static str);
 
 impl Strays {
@@ -33,7 +33,7 @@ impl Behaviour for Strays {
     }
 }
 
-/// Closes what new files are to everybody but their owner, in the entry it is told to.
+/// Closes new files to everybody but their owner, in the given entry.
 struct Closes(&'static str);
 
 impl Closes {
@@ -70,7 +70,8 @@ impl Behaviour for Settled {
     }
 }
 
-/// Goes elsewhere in `start` and stays inside until the other one has stepped so often that the watchdog has looked.
+/// Changes the directory in `start` and stays inside until the other component has stepped so often that the
+/// watchdog has looked.
 struct Lingers(Arc<Settled>);
 
 impl Behaviour for Lingers {
@@ -84,7 +85,7 @@ impl Behaviour for Lingers {
     }
 }
 
-/// Goes elsewhere in `start` and says so; comes back when the test lets go.
+/// Changes the directory in `start` and tells the test; returns when the test lets go.
 struct Hangs(Mutex<(Sender<()>, Receiver<()>)>);
 
 impl Behaviour for Hangs {
@@ -176,7 +177,7 @@ fn whoever_changes_the_umask_is_named_and_it_is_put_back() {
     alone("the_process_whose_umask_is_changed");
 }
 
-/// Plays one of these tests in a process of its own.
+/// Runs one of these tests in a process of its own.
 fn alone(test: &str) {
     let child = Process::new(env::current_exe().unwrap())
         .args(["--exact", &format!("tests::premises::{test}"), "--nocapture"])

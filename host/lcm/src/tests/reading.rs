@@ -1,7 +1,7 @@
-//! Reads from outside that do not come back.
+//! Reads from outside that do not return.
 //!
-//! Promise: their callers are answered, no other work waits for them, they take no more than two threads, and the component
-//! is named.
+//! Promise: their callers are answered, no other work waits for them, they take no more than two threads, and
+//! the component is named.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex};
@@ -11,7 +11,7 @@ use super::*;
 
 const FREE: u64 = 1000;
 
-/// Reads with this argument stay inside until it is opened.
+/// Gate that holds reads with this argument inside until it is opened.
 #[derive(Default)]
 struct Gate {
     open: Mutex<bool>,
@@ -99,7 +99,7 @@ fn late(refused: &Refusal) -> Option<bool> {
     }
 }
 
-// One worker, as a machine with one processor has: what ran on it would stop everything.
+// One worker, as on a machine with one processor: a read that ran on it would stop everything.
 #[tokio::test]
 async fn a_read_that_hangs_is_its_caller_s_deadline_and_is_named_and_the_next_ones_are_refused_until_it_is_back()
  {
@@ -110,7 +110,7 @@ async fn a_read_that_hangs_is_its_caller_s_deadline_and_is_named_and_the_next_on
         let refused = read(&world, "one", 1, 20).await.unwrap_err();
         match late(&refused) {
             Some(true) => break,
-            // On a busy machine a read may not begin within that time: it is asked again.
+            // On a busy machine a read may not begin within that time: the test asks again.
             Some(false) => watchdog.saw(refused),
             None => panic!("no deadline: {refused}"),
         }
@@ -155,7 +155,7 @@ async fn however_many_reads_hang_at_once_two_threads_are_all_they_get_and_nothin
     assert_eq!(gate.entered.load(Ordering::SeqCst), 2);
     let named = |r: &Report| r.warnings.iter().any(|w| w.contains("got DEADLINE (2 so far"));
     world.eventually("both are counted", "server", named).await;
-    // It ends although they are still inside.
+    // The process ends although they are still inside.
     world.end().await;
     assert_eq!(gate.inside(), 2);
     gate.open();

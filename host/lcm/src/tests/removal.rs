@@ -1,5 +1,5 @@
-//! Removing what hangs or has failed: it is ended when it comes back, entered by nobody after that, and kept while it may
-//! still use what the host gave it.
+//! Removing a component that hangs or has failed: it is ended when it comes back, not entered after that, and
+//! kept while it may still use handles of the host.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -106,7 +106,7 @@ async fn a_wish_of_one_that_goes_enters_nobody() {
         world.create("c", periodic(1000), wisher.clone()).await;
         world.start("c").await;
         eventually("a step", || wisher.device.lock().unwrap().is_some()).await;
-        // Its description would be asked of an instance that is not there, which ends this process.
+        // Otherwise an instance that is gone would be asked for its description, which ends this process.
         world.apply(destroy(&world, "c")).await.unwrap();
     }
     world.end().await;
@@ -178,7 +178,7 @@ async fn a_thread_of_configure_may_be_ended_by_destroy() {
     world.end().await;
 }
 
-/// Steps, and leaves handles behind where it is told to.
+/// Steps, and leaves handles behind if told to.
 struct Leaves {
     some: bool,
     steps: AtomicU64,
@@ -214,7 +214,7 @@ async fn a_port_to_which_handles_are_left_is_not_that_of_the_instance_made_anew(
     }
 }
 
-/// Keeps what it is given in a place of its own, as code in C does in a static.
+/// Keeps the host's pointers in a place of its own, as code in C does in a static.
 #[derive(Default)]
 struct Hoards(std::sync::Mutex<Option<Own>>);
 
@@ -260,7 +260,7 @@ async fn handles_that_code_keeps_when_its_component_is_gone_are_refused_counted_
 #[derive(Default)]
 struct Brood {
     child: std::sync::Mutex<Option<std::sync::mpsc::Sender<()>>>,
-    /// Starts it when it is configured: then it may live until it is destroyed.
+    /// True to start the thread in `configure`: then it may live until `destroy`.
     early: bool,
     destroyed: std::sync::atomic::AtomicBool,
 }

@@ -1,6 +1,7 @@
 //! An actuator whose required connection is replaced: it goes on, unless the second half fails.
 //!
-//! Promise: no clock decides about what was announced; what was not made counts as lost all the same.
+//! Promise: no clock decides about an announced replacement; a connection that was not made counts as lost
+//! all the same.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -11,7 +12,7 @@ use trocar_rt::os;
 use super::super::boundary::fake::Own;
 use super::*;
 
-/// Longer than a plain Disconnect is forgiven, ns.
+/// A time longer than a plain Disconnect is tolerated, ns.
 const HELD_UP_NS: u64 = 60_000_000;
 const LOST: State = State::Stopped(StopReason::PeerLost);
 
@@ -59,14 +60,15 @@ fn wire(world: &World, number: u64, source: &str) -> Connection {
     Connection { id: ConnectionId(number), client, server, options }
 }
 
-/// The machine takes its time: until a plain Disconnect would have been judged, and the arm has stepped on.
+/// Waits as a slow machine would: until a plain Disconnect would have been judged, and the arm has stepped
+/// on.
 async fn held_up(arm: &Arm) {
     let (then, steps) = (os::now_ns(), arm.steps.load(Ordering::SeqCst));
     let over = || os::now_ns() > then + HELD_UP_NS && arm.steps.load(Ordering::SeqCst) > steps;
     eventually("the arm steps on between the halves of a replace", over).await;
 }
 
-/// It runs, and misses nothing; how punctual it is on this machine is another matter.
+/// Checks that the arm is ACTIVE and has its input; its punctuality on this machine is another matter.
 async fn undisturbed(world: &World, when: &str) {
     let report = world.report("arm").await;
     assert_eq!(report.state, State::Active, "{when}: {report:?}");

@@ -1,4 +1,4 @@
-//! What is safe stays safe whoever hangs, and nothing that was only sent comes to nothing without a word.
+//! Safe components stay safe whatever hangs, and no command that was only sent is lost without a report.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -53,7 +53,7 @@ impl Behaviour for Gate {
     }
 }
 
-/// Moves something: counts how often it was made safe, and fails at it as told.
+/// Moves something: counts how often it was made safe, and fails at that as told.
 #[derive(Default)]
 struct Arm {
     made_safe: AtomicU64,
@@ -79,7 +79,7 @@ fn arm_class(any_thread: bool) -> ClassInfo {
     ClassInfo { safe_from_any_thread: any_thread, ..class(ctl(), Safety::Actuator) }
 }
 
-/// How many calls wait in the component's queues.
+/// Number of calls that wait in the component's queues.
 fn queued(world: &World, name: &str) -> u64 {
     let instance = world.lcm.instance(&world.id(name)).unwrap();
     instance.queues().iter().map(|q| q.mailbox.stats().queued).sum()
@@ -265,7 +265,7 @@ async fn the_end_of_the_process_makes_an_active_actuator_safe() {
     assert_eq!(arm.made_safe(), 1);
 }
 
-/// Sends a command in each of its first steps, and counts what became of it.
+/// Sends a command in each of its first steps, and counts the outcomes.
 struct Sends {
     left: AtomicU64,
     queued: AtomicU64,
@@ -284,7 +284,7 @@ impl Behaviour for Sends {
             match own.send(0) {
                 QUEUED => self.queued.fetch_add(1, Ordering::SeqCst),
                 QUEUE_FULL => self.full.fetch_add(1, Ordering::SeqCst),
-                // Its server is not ACTIVE yet.
+                // The server is not ACTIVE yet.
                 _ => return Ok(()),
             };
             self.left.fetch_sub(1, Ordering::SeqCst);
@@ -332,7 +332,7 @@ async fn commands_that_a_disconnect_throws_out_and_those_a_full_queue_refused_ar
     world.connect(1, "a/peer", "b/ctl", options.clone()).await;
     world.start("b").await;
     world.start("a").await;
-    // The first is taken and does not come back, two are queued, two find the queue full.
+    // The first is taken and does not return, two are queued, two find the queue full.
     sends.left.store(1, Ordering::SeqCst);
     gate.is_inside().await;
     sends.left.store(4, Ordering::SeqCst);
@@ -369,7 +369,7 @@ impl Behaviour for Counts {
     }
 }
 
-/// Hands on what it gets, or keeps it: values with their numbers.
+/// Hands on its samples, or keeps them: values with their numbers.
 #[derive(Default)]
 struct Takes(Mutex<Vec<(u64, u64)>>);
 
@@ -422,7 +422,7 @@ async fn a_filter_comes_into_a_running_stream_and_goes_again_and_every_frame_arr
     world.create_as("filter", class(plain(true, true), Safety::None), of_head, filter.clone()).await;
     connect(wire(2, "filter/in", "head/out")).await;
     world.start("filter").await;
-    // What `replace` becomes: the old wire goes, the new one comes.
+    // The two halves of `replace`: the old wire is removed, the new one is made.
     disconnect(wire(1, "sink/in", "head/out")).await;
     connect(wire(3, "sink/in", "filter/out")).await;
     sink.grows("frames through the filter").await;

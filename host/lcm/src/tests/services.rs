@@ -1,4 +1,4 @@
-//! Services asked for by components whose entries are closures, answered by hand.
+//! Services requested by components whose entries are closures, answered by hand.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,10 +12,10 @@ use super::super::boundary::fake::{Device, Own};
 use super::super::{ReplyTo, Services};
 use super::*;
 
-/// Nested and escaped, so that a reader that allocates would show.
+/// Nested and escaped, so that a reader that allocates would be found.
 const REQUEST: &str = r#"{"config":{"a\n":[{"b":"\"}"}]},"path":"host/x","verb":"Create"}"#;
 
-/// Keeps what was asked until the test answers.
+/// Keeps the requests until the test answers.
 #[derive(Default)]
 struct Counter(Mutex<Vec<(ComponentId, String, ReplyTo)>>);
 
@@ -111,7 +111,7 @@ impl Scene {
         Scene { world, asks, counter: Arc::default() }
     }
 
-    /// Everything its thread was given so far is done.
+    /// Waits until all jobs given to its thread so far are done.
     async fn settled(&self, verb: Verb) {
         self.world.run("c", verb).await.unwrap();
     }
@@ -146,7 +146,7 @@ async fn a_step_is_told_that_it_would_block_in_every_execution_model() {
         scene.asks.from_step.store(true, Ordering::Relaxed);
         scene.world.call("c").await.unwrap();
         eventually("its step has asked", || !scene.asks.outcomes.lock().unwrap().is_empty()).await;
-        // A step may have come before the command, whose own asking is allowed.
+        // A step may have come before the command, whose own request is allowed.
         assert_eq!(scene.asks.outcomes()[0], WOULD_BLOCK, "{process}");
         scene.world.end().await;
     }

@@ -1,4 +1,5 @@
-//! How a component stands is true whatever comes late: a configuration, a device's thread, a handler that fails, a restart.
+//! The reported state of a component is true, whatever comes late: a configuration, a device's thread, a
+//! handler that fails, a restart.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,11 +13,11 @@ use super::super::When;
 use super::super::boundary::fake::{Device, Own};
 use super::*;
 
-/// Stays inside the first entry of one kind until the test lets go; notes what is done to it.
+/// Stays inside the first entry of one kind until the test lets go; counts later entries.
 #[derive(Default)]
 pub(super) struct Held {
     entry: &'static str,
-    /// What it then answers; empty = all is well.
+    /// Failure that the entry then returns; empty = success.
     says: &'static str,
     door: Mutex<Option<Receiver<()>>>,
     pub(super) inside: AtomicBool,
@@ -174,7 +175,7 @@ async fn a_row_is_found_by_its_tick_after_a_restart_as_well() {
         world.run("c", Verb::Stop).await.unwrap();
         let path = format!("{}/c", world.process);
         let soon = Instant::now() + PATIENCE;
-        // A row that is there: on a busy machine some ticks are skipped.
+        // A row that exists: on a busy machine some ticks are skipped.
         let tick = world.lcm.read(path.clone(), When::Delayed(5), false, soon).await.unwrap().seq;
         let row = world.lcm.read(path, When::Tick(tick), false, soon).await.unwrap();
         assert_eq!(row.seq, tick);

@@ -1,4 +1,4 @@
-//! What becomes of components that misbehave, and what the others notice of it.
+//! Components that misbehave, and the effects on others.
 
 use std::pin::pin;
 use std::sync::Mutex;
@@ -12,10 +12,10 @@ use trocar_rt::os;
 use super::super::boundary::fake::Own;
 use super::*;
 
-/// Time between two looks at what changes by itself.
+/// Time between two looks at a change that comes by itself.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Waits for something that comes by itself, under the watchdog.
+/// Waits for a result that comes by itself, under the watchdog.
 async fn comes<F: Future>(what: &str, coming: F) -> F::Output {
     let (mut coming, mut watchdog) = (pin!(coming), Watchdog::of(what));
     loop {
@@ -26,7 +26,7 @@ async fn comes<F: Future>(what: &str, coming: F) -> F::Output {
     }
 }
 
-/// Stays inside the entry it is told to until the test lets go; counts what is done to it.
+/// Stays inside the given entry until the test lets go; counts later calls.
 #[derive(Default)]
 struct Stuck {
     entry: &'static str,
@@ -177,7 +177,7 @@ async fn a_configuration_that_comes_too_late_gives_way_to_the_one_before() {
     world.end().await;
 }
 
-/// Keeps its configurations; waits for the test where there is a door.
+/// Keeps its configurations; waits for the test if there is a door.
 #[derive(Default)]
 struct Configured {
     given: Mutex<Vec<String>>,
@@ -258,7 +258,7 @@ async fn removing_a_component_that_hangs_in_a_command_answers_the_caller_and_the
     world.end().await;
 }
 
-/// Panics in the entry it is told to.
+/// Panics in the given entry.
 struct Panics(&'static str);
 
 impl Panics {
@@ -307,7 +307,7 @@ async fn a_panic_in_any_entry_is_a_fault_that_names_it_and_reset_makes_it_ready_
             _ => {}
         }
         let report = world.eventually("FAULT", entry, |r| r.state == State::Fault).await;
-        // Of several commands the one that did it is named.
+        // The command that did it is named.
         let named = if entry == "command" { "command ctl/do" } else { entry };
         assert!(report.fault.starts_with(&format!("{named}: chaos")), "{entry}: {}", report.fault);
         let report = world.run(entry, Verb::Reset).await.unwrap();
@@ -414,7 +414,7 @@ async fn overruns_are_counted_and_told_and_the_health_recovers() {
     world.end().await;
 }
 
-/// Leaves its thread otherwise than it found it.
+/// Changes state of its thread.
 struct Rude(&'static str, Mutex<Vec<Sender<()>>>);
 
 impl Rude {

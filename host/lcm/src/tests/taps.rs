@@ -1,4 +1,5 @@
-//! Taps: what a component does reaches whoever is connected, decoded by nothing but the type, and the component notices nothing.
+//! Taps: rows, events and commands of a component reach every connected reader, decoded by the type alone,
+//! and the component notices nothing.
 //!
 //! Promise: each row, event and command is told once, with its stamp and its number, or is a counted drop.
 
@@ -150,7 +151,7 @@ async fn each_command_is_told_with_its_argument_and_what_came_of_it() {
 
 #[tokio::test]
 async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
-    // 50 Hz: three periods are less than what other goals may wait.
+    // 50 Hz: three periods are less than the longest wait of other goals.
     const PERIOD_NS: u64 = 20_000_000;
     const GOAL_NS: u64 = 100_000_000;
     const SET: u32 = 2;
@@ -176,7 +177,7 @@ async fn a_goal_that_waited_too_long_for_an_actuator_is_told_as_never_run() {
     let arm = world.lcm.instance(&world.id("arm")).unwrap();
     let inbox = arm.described.now().external.clone();
     let now_ns = os::now_ns();
-    // A stamp that is still to come: no goal is younger when it is taken, however late this machine is.
+    // A stamp in the future: these goals are young when they are taken, however late this machine is.
     let young_ns = now_ns + 600_000_000_000;
     let number = |n: u64| n.to_ne_bytes().to_vec();
     let word = |word: &str| {
@@ -259,7 +260,7 @@ async fn what_finds_its_queue_full_is_a_counted_drop() {
     for _ in 0..10 {
         world.call("server").await.unwrap();
     }
-    // The last one is told when the turn ends that has answered it.
+    // The last one is told at the end of the turn that has answered it.
     let mut dropped = 0;
     while dropped < 6 {
         tokio::task::yield_now().await;

@@ -1,5 +1,5 @@
-//! What is told of a failure, and when: a device is safe before the world hears, unless the world is all that can be reached;
-//! every failure keeps its own words.
+//! Reports of a failure, and their order: a device is made safe before the failure is reported, unless only
+//! the report is possible; every failure keeps its own sentence.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -16,7 +16,7 @@ use super::super::boundary::{EventSink, Tap};
 use super::super::instance::Instance;
 use super::*;
 
-/// Everything the world can hear of one component.
+/// All reports that can be received about one component.
 struct Ear {
     news: tokio::sync::broadcast::Receiver<News>,
     changes: Arc<Tap>,
@@ -32,7 +32,7 @@ impl Ear {
         Ear { news: world.lcm.news(), changes, instance: Arc::downgrade(&instance) }
     }
 
-    /// Whether news, an event, or the row behind GetState has said it is in FAULT.
+    /// Tells whether news, an event, or the row behind GetState has reported FAULT.
     fn hears_of_fault(&mut self) -> bool {
         let instance = self.instance.upgrade().unwrap();
         let mut heard = false;
@@ -47,7 +47,7 @@ impl Ear {
     }
 }
 
-/// What was so when it was made safe.
+/// Situation at the moment it was made safe.
 #[derive(Debug, PartialEq)]
 struct Moment {
     state: State,
@@ -79,7 +79,7 @@ impl Behaviour for Arm {
     fn step(&self, _: &Tick, _: &Own) -> Result<(), String> {
         self.steps.fetch_add(1, Ordering::SeqCst);
         let Some(door) = self.hangs.lock().unwrap().take() else { return Ok(()) };
-        // Let go by a word: it fails. Let go by the end of the other side: it goes on.
+        // Released by a message: it fails. Released by a dropped sender: it goes on.
         if door.recv().is_ok() { Err("it slipped".into()) } else { Ok(()) }
     }
     fn make_safe(&self) -> Result<(), String> {
@@ -122,7 +122,7 @@ async fn what_hangs_is_told_of_first_and_made_safe_by_whoever_may_then() {
         if any_thread {
             eventually("made safe from another thread", || arm.safe.lock().unwrap().len() == 1).await;
         }
-        // It comes back as if nothing had been, and is made safe before anything else.
+        // The arm returns as if nothing had happened, and is made safe before anything else.
         drop(open);
         let times = if any_thread { 2 } else { 1 };
         eventually("made safe by its own thread", || arm.safe.lock().unwrap().len() == times).await;
@@ -151,12 +151,12 @@ async fn what_is_stopped_is_made_safe_when_no_step_can_begin_any_more() {
     world.end().await;
 }
 
-/// Hangs in its step, and in what makes it safe; the end of the other side lets go of both.
+/// Hangs in its step, and in `make_safe`; dropping the sender releases both.
 struct Seized(Mutex<Receiver<()>>);
 
 impl Seized {
     fn hang(&self) -> Result<(), String> {
-        // Whoever comes first has it; the other waits for that one.
+        // The first of the two threads holds the lock; the other waits for it.
         let _ = self.0.lock().unwrap().recv();
         Ok(())
     }
@@ -268,7 +268,7 @@ async fn a_filter_that_failed_says_what_becomes_of_its_frames_with_its_state_and
     world.end().await;
 }
 
-/// Nothing at all.
+/// Does nothing.
 struct Idle;
 
 impl Behaviour for Idle {}

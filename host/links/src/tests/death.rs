@@ -1,4 +1,4 @@
-//! Processes that die, and how soon that is known; processes that only say so.
+//! Processes that die, and how soon that is known; processes that only pretend to have died.
 
 use std::io::Read;
 use std::mem::ManuallyDrop;
@@ -15,7 +15,7 @@ use crate::links::{Ask, Shared};
 use crate::session::Peer;
 use crate::watch::Watch;
 
-/// Where the other process of a test listens; set in that process only.
+/// Socket of the other process of a test; set in that process only.
 const CHILD: &str = "TROCAR_LINKS_CHILD";
 
 /// This program again as process `b`, until it is killed, or this one is.
@@ -54,7 +54,7 @@ fn a_process_that_dies_is_told_of_however_it_dies_and_though_its_socket_is_open(
         let session = a.met();
         let mut socket = a.said().files;
         assert_eq!(socket.len(), 1);
-        // Without it whichever sign comes first is the one, and the reason is the same.
+        // Without it either sign may come first, and the reason is the same.
         socket.truncate(usize::from(socket_stays));
         session.send(if signal.is_some() { b"stay" } else { b"exit" }, &[]).unwrap();
         if let Some(signal) = signal {
@@ -75,11 +75,11 @@ fn a_process_that_says_it_died_loses_its_own_session_only() {
     let (to_b, to_a) = (a.met(), b.met());
     let (liar, pulse) = hostile::guest(&b, dir.path()).unwrap();
     let lied = b.met();
-    // The word of the guest itself is what the maker of the page looks at.
+    // The maker of the page looks at the word of the guest itself.
     lied.pulse.life_word().store(DIED, Ordering::Release);
     assert_eq!(b.lost(), (lied.number(), Lost::Died));
     assert!(liar.hears().is_none(), "its socket was closed");
-    // And what a guest writes into the word of its host costs that host nothing.
+    // A guest that writes into the word of its host costs that host nothing.
     let (other, pulse_too) = hostile::guest(&b, dir.path()).unwrap();
     let second = b.met();
     pulse_too.life_word().store(DIED, Ordering::Release);
@@ -89,7 +89,8 @@ fn a_process_that_says_it_died_loses_its_own_session_only() {
     drop((other, pulse, pulse_too));
 }
 
-/// Neither woken for it nor told by its socket: as where the kernel lets nobody sleep on several words.
+/// The death wakes no watcher and the socket does not tell it: as where the kernel cannot sleep on several
+/// words.
 #[test]
 fn whoever_died_before_it_was_watched_is_found_with_the_next_heartbeat() {
     let dir = TempDir::new().unwrap();
@@ -106,7 +107,7 @@ fn whoever_died_before_it_was_watched_is_found_with_the_next_heartbeat() {
     assert_eq!(b.lost(), (session.number(), Lost::Died));
 }
 
-/// What the kernel writes into the word of a thread that died.
+/// Bit the kernel writes into the word of a thread that died.
 const DIED: u32 = 0x4000_0000;
 
 /// A session whose other end is a thread of this process, and that end of its page.
@@ -135,7 +136,7 @@ fn lives(pulse: Pulse) -> impl FnOnce() {
     }
 }
 
-/// Those that were told of, until there are so many.
+/// Collects the numbers of the sessions whose process died, until there are `count`.
 fn died(shared: &Shared, count: usize) -> Vec<u64> {
     let mut died = Vec::new();
     while died.len() < count {

@@ -1,4 +1,4 @@
-//! Strangers at the door and peers behind it that mean ill.
+//! Strangers that call, and peers with a session, that mean ill.
 
 use std::fs::Permissions;
 use std::io;
@@ -112,7 +112,7 @@ fn a_card_that_is_none_is_refused_and_nothing_of_it_is_repeated() {
     }
 }
 
-/// Somebody who listens where a process should.
+/// A stranger that listens where a process should.
 struct Impostor(OwnedFd);
 
 impl Impostor {
@@ -130,7 +130,7 @@ impl Impostor {
     }
 }
 
-/// Why `a` has no session there, once that holds `part`.
+/// Waits until `a` has no session there for a reason that holds `part`; returns the reason.
 fn awaits(a: &Process, at: &Path, part: &str) -> String {
     loop {
         let why = a.links.why_not(at).unwrap_or_default();
@@ -207,7 +207,7 @@ fn whatever_an_impostor_hands_over_for_memory_is_looked_at_first() {
     caller.say(b"d\0already");
     awaits(&a, &at, "data before the greeting was over");
     assert_eq!(a.links.refused(&at), None, "it may yet answer");
-    // Who hangs up in the middle, since its time is over, has refused nothing.
+    // A peer that hangs up in the middle, since its time is over, has refused nothing.
     let caller = impostor.called();
     caller.hears().unwrap();
     rustix::net::shutdown(&caller.0, Shutdown::Read).unwrap();
@@ -216,7 +216,7 @@ fn whatever_an_impostor_hands_over_for_memory_is_looked_at_first() {
     send(caller.0.as_fd(), &[&welcome], &[page.fd().unwrap()]).unwrap();
     awaits(&a, &at, "it cannot be answered");
     assert_eq!(a.links.refused(&at), None, "it may yet answer");
-    // Who was patient with the impostor meets the right one in the end.
+    // A process that was patient with the impostor meets the right one in the end.
     drop(impostor);
     let b = process(dir.path(), "b");
     assert_eq!(a.met().peer().process, "b");
@@ -303,8 +303,9 @@ fn whoever_is_wanted_and_left_again_and_again_is_met_once_in_the_end() {
         a.links.leave(b.socket());
     }
     a.links.want(b.socket());
-    // Those that are still being left say nothing for long; in the end one is there, and heard. The other end may have met this
-    // one before this one knows of it, so it says it again until it is heard.
+    // Sessions that are still being left say nothing for long; in the end one is there, and heard. The other
+    // end may have met this session before this process knows of it, so the message is sent again until it is
+    // heard.
     let (mut live, mut heard) = (0, false);
     let mut watchdog = Watchdog::of("one is there in the end, and heard");
     while !heard || live != 1 {
@@ -320,7 +321,7 @@ fn whoever_is_wanted_and_left_again_and_again_is_met_once_in_the_end() {
     }
 }
 
-/// Only where tests may become somebody else.
+/// Only where tests may change their user.
 #[test]
 fn a_process_of_another_user_is_turned_away_by_what_the_kernel_says() {
     if !rustix::process::geteuid().is_root() {
@@ -334,7 +335,7 @@ fn a_process_of_another_user_is_turned_away_by_what_the_kernel_says() {
     let card = Card::own("c", dir.path().join("c.sock")).unwrap();
     let refused = std::thread::spawn(move || {
         let nobody = rustix::process::Uid::from_raw(65_534);
-        // Of this thread alone.
+        // The user changes for this thread alone.
         rustix::thread::set_thread_res_uid(nobody, nobody, nobody).unwrap();
         let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
         let socket =
@@ -349,7 +350,7 @@ fn a_process_of_another_user_is_turned_away_by_what_the_kernel_says() {
     assert!(refused.contains("user 65534 is not the user of this process, 0"), "{refused}");
 }
 
-/// The same the other way round: a listener that would say what it likes is told nothing.
+/// The same the other way round: a listener that would tell any card is told nothing.
 #[test]
 fn a_listener_of_another_user_is_not_greeted_whatever_its_card_would_say() {
     if !rustix::process::geteuid().is_root() {
@@ -363,7 +364,7 @@ fn a_listener_of_another_user_is_not_greeted_whatever_its_card_would_say() {
     let (begun, begins) = channel();
     let heard = std::thread::spawn(move || {
         let nobody = rustix::process::Uid::from_raw(65_534);
-        // Of this thread alone.
+        // The user changes for this thread alone.
         rustix::thread::set_thread_res_uid(nobody, nobody, nobody).unwrap();
         let kind = (AddressFamily::UNIX, SocketType::SEQPACKET);
         let listener = rustix::net::socket_with(kind.0, kind.1, SocketFlags::CLOEXEC, None).unwrap();

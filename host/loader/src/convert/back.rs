@@ -1,6 +1,7 @@
-//! Model → manifest: what an untyped port is told about its peer.
+//! Model → manifest: the description of its peer that an untyped port gets.
 //!
-//! Invariant: the text stands for itself: every struct and enum it names is in its `types`, which come before their users.
+//! Invariant: the text stands for itself: every struct and enum it names is in its `types`, which come before
+//! their users.
 
 use serde_json::{Value, json};
 use trocar_model as model;
@@ -29,7 +30,7 @@ pub fn command(command: &model::Command) -> String {
         doc: arg.doc.clone(),
         ty: described(&arg.ty, &mut types),
         unit: arg.unit.clone(),
-        // Its fields have it.
+        // The fields of the type have it.
         frame: String::new(),
         min: arg.min,
         max: arg.max,
@@ -82,8 +83,8 @@ fn described(ty: &model::Type, types: &mut Vec<wire::NamedType>) -> wire::Type {
     }
 }
 
-/// What the type is called from now on: an argument and a result of one type may be in two coordinate frames, and each is
-/// described as it is.
+/// Adds the type and returns its new name: an argument and a result of one type may be in two coordinate
+/// frames, and each is described as it is.
 fn add(mut ty: wire::NamedType, types: &mut Vec<wire::NamedType>) -> String {
     let plain = ty.name.clone();
     let mut number = 1;

@@ -1,11 +1,11 @@
-//! Coordinate frames that a manifest says of a whole port: said of the fields that hold its coordinates.
+//! Coordinate frames that a manifest gives to a whole port: given to the fields that hold its coordinates.
 //!
-//! Invariant: a frame is never ignored. Where nothing could be in it, or the payload has said it all itself, the class is
-//! refused.
+//! Invariant: a frame is never ignored. Where nothing could be in it, or the payload names all frames itself,
+//! the class is refused.
 
 use trocar_model::{PortType, Type};
 
-/// What flows through an input or output.
+/// Returns the type that flows through an input or output.
 pub(super) fn port(ty: PortType, frame: &str) -> Result<PortType, String> {
     Ok(match ty {
         PortType::Plain(ty) => PortType::Plain(value(ty, frame)?),

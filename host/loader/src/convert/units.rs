@@ -1,5 +1,5 @@
-//! A class whose units nobody can read is refused with its name, the place and what was probably meant; so is one whose
-//! execution or defaults no Create could accept.
+//! Refuses a class with an unreadable unit, by its name, the place and what was probably meant; also one
+//! whose execution or defaults no Create could accept.
 #![allow(clippy::unwrap_used)]
 
 use serde_json::json;

@@ -1,4 +1,4 @@
-//! What a good plugin file becomes: listed without running, loaded once, found by both names.
+//! Way of a good plugin file: listed without running, loaded once, found by both names.
 
 use super::*;
 use std::sync::Mutex;

@@ -1,4 +1,4 @@
-//! What is wrong with the tables an entry returns is found before anything is called through them, and named.
+//! Faults of the tables an entry returns are found before anything is called through them, and named.
 
 use super::*;
 
@@ -24,7 +24,7 @@ static trocar_plugin table = {
 TROCAR_EXPORT const trocar_plugin *trocar_plugin_v1(void) { @ENTRY@; return &table; }
 "#;
 
-/// A plugin whose class has `more` (JSON) in its manifest, and that does this in its entry and its init.
+/// Builds a plugin whose class has `more` (JSON) in its manifest, with this code in its entry and its init.
 fn built(more: &str, entry: &str, init: &str) -> Vec<u8> {
     let dir = tempfile::tempdir().unwrap();
     let source = SOURCE
@@ -101,7 +101,7 @@ fn a_newer_minor_may_have_longer_tables_and_another_major_none() {
     let world = World::new();
     world.put("x.so", &built("", "table.abi_minor = 9, class_table.struct_size += 8", ""));
     let store = world.open();
-    // What lies behind the struct is never read.
+    // Bytes behind the struct are never read.
     assert!(store.load(&store.class("probe/c").unwrap()).is_ok());
     refused(&built("", "table.abi_major = 2", ""), &["ABI 1.2 in the manifest, 2.2 in the entry"]);
 }

@@ -1,4 +1,4 @@
-//! What an observer hears while files come, change and go under a running store.
+//! News for an observer while files come, change and go under a running store.
 
 use std::io::Write;
 use std::sync::mpsc::{Receiver, channel};

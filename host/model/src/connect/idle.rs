@@ -1,12 +1,14 @@
-//! What a connection of interfaces was to bind and does not: all that is optional may be absent, and nobody is refused.
+//! Members that a connection of interfaces was to bind and does not: all that is optional may be absent, and
+//! no connection is refused.
 //!
-//! Invariant: says only what the author of a slip of the pen would want to hear; one optional member of several that is
-//! there says that the interface is the right one.
+//! Invariant: tells only what the author of a typing error would want to know; one optional member of several
+//! that is there shows that the interface is the right one.
 
 use super::Port;
 use crate::{PortId, Ports, nearest};
 
-/// A sentence for a connection of which no optional member is found, so that it does less than it says, or nothing.
+/// Returns a sentence for a connection of which no optional member is found, so that it does less than it
+/// says, or nothing.
 pub fn idle_connection(
     client: &Ports,
     client_port: &PortId,

@@ -1,7 +1,7 @@
-//! Which carriers a connection can have where its ends run.
+//! Tells which carriers a connection can have where its ends run.
 //!
-//! Invariant: a carrier that was asked for is had, or the request is refused with those there are; a change of threads is judged
-//! as a new connection is.
+//! Invariant: a connection gets the carrier that was asked for, or the request is refused with those there
+//! are; a change of threads is judged as a new connection is.
 
 use super::circle::is_stream;
 use super::host_of;
@@ -31,7 +31,7 @@ pub(super) fn check(graph: &SystemGraph, what: &str, connection: &Connection) ->
     bad(format!("\"{asked}\" cannot be had here, as {why}: possible is {}", list(possible)))
 }
 
-/// The best one first; and why there are no others.
+/// Returns the possible carriers, the best one first, and why there are no others.
 fn possible(graph: &SystemGraph, c: &Connection) -> (&'static [&'static str], String) {
     let (client, server) = (&c.client.component, &c.server.component);
     if !c.is_near() {
@@ -62,7 +62,7 @@ fn possible(graph: &SystemGraph, c: &Connection) -> (&'static [&'static str], St
     }
 }
 
-/// The component whose thread it is.
+/// Returns the component that owns the thread.
 fn thread_of(graph: &SystemGraph, id: &ComponentId) -> ComponentId {
     let mut at = id.clone();
     for _ in 0..graph.components.len() {

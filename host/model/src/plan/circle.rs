@@ -1,14 +1,14 @@
 //! Circles of direct calls, and of components that would have to run before each other.
 //!
-//! Invariant: a connection is judged by where its ends run, so a change of threads is judged by the same functions as a
-//! new connection.
+//! Invariant: a connection is judged by where its ends run, so a change of threads is judged by the same
+//! functions as a new connection.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use crate::{ComponentId, Connection, ExecutionModel, Link, Refusal, SystemGraph};
 
-/// Refuses `new` when it closes a circle of direct calls. A wire that it replaces need not be left out: it leaves or enters
-/// the very component where the circle would close, so no shortest way uses it.
+/// Refuses `new` when it closes a circle of direct calls. A wire that it replaces need not be left out: it
+/// leaves or enters the very component where the circle would close, so no shortest way uses it.
 pub(super) fn check_circle(graph: &SystemGraph, new: &Connection, link: &Link) -> Result<(), Refusal> {
     let stream = matches!(link, Link::Stream { .. });
     let Some((caller, called)) = direct(graph, new, stream) else { return Ok(()) };
@@ -30,7 +30,7 @@ pub(super) fn check_circles(graph: &SystemGraph) -> Result<(), Refusal> {
 
 type Edges = BTreeMap<ComponentId, BTreeSet<ComponentId>>;
 
-/// Who calls whom in one thread.
+/// Returns the calls within one thread: caller to callee.
 fn calls(graph: &SystemGraph) -> Edges {
     let mut edges = Edges::new();
     for connection in graph.connections.values() {
@@ -41,7 +41,8 @@ fn calls(graph: &SystemGraph) -> Edges {
     edges
 }
 
-/// Who runs before whom in one cycle: along the direct streams, exec_in before and exec_out after the one they run inside.
+/// Returns the order within one cycle, first to next: along the direct streams, exec_in before and exec_out
+/// after the one they run inside.
 fn order(graph: &SystemGraph) -> Edges {
     let mut edges = Edges::new();
     for connection in graph.connections.values().filter(|c| is_stream(graph, c)) {
@@ -67,7 +68,7 @@ pub(crate) fn is_stream(graph: &SystemGraph, c: &Connection) -> bool {
 
 /// Refuses the edge from `caller` to `called` when `edges` lead back.
 fn circles(edges: &Edges, caller: &ComponentId, called: &ComponentId) -> Result<(), Refusal> {
-    // Breadth first from what would be called back to the caller; `came` is also the set of the visited.
+    // Breadth first from the called one back to the caller; `came` is also the set of the visited.
     let mut came: BTreeMap<&ComponentId, Option<&ComponentId>> = BTreeMap::from([(called, None)]);
     let mut queue = VecDeque::from([called]);
     while let Some(at) = queue.pop_front() {
@@ -92,8 +93,8 @@ fn circles(edges: &Edges, caller: &ComponentId, called: &ComponentId) -> Result<
     Ok(())
 }
 
-/// Who calls whom in one thread through this connection: pinned inline, or a stream within one chain that is not pinned
-/// to a queue.
+/// Returns caller and callee in one thread through this connection: pinned inline, or a stream within one
+/// chain that is not pinned to a queue.
 fn direct(graph: &SystemGraph, c: &Connection, stream: bool) -> Option<(ComponentId, ComponentId)> {
     let (client, server) = (&c.client.component, &c.server.component);
     let chained = || stream && head(graph, client).is_some_and(|h| Some(h) == head(graph, server));
@@ -105,8 +106,8 @@ fn direct(graph: &SystemGraph, c: &Connection, stream: bool) -> Option<(Componen
     }
 }
 
-/// The head of the stream chain in which a component runs; a head that was removed still holds its chain together, since
-/// it may be made again.
+/// The head of the stream chain in which a component runs; a head that was removed still holds its chain
+/// together, since it may be made again.
 fn head(graph: &SystemGraph, id: &ComponentId) -> Option<ComponentId> {
     let mut at = id.clone();
     for _ in 0..=graph.components.len() {

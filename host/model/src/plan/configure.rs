@@ -1,7 +1,7 @@
-//! Configure: a merge patch on the present configuration, and where the thread comes from, checked whole.
+//! Configure: a merge patch on the present configuration, and a change of the thread, checked whole.
 //!
-//! Invariant: a running component only ever sees changes of settings its class declares live; its execution changes only
-//! while neither it nor anybody in its thread runs.
+//! Invariant: a running component only ever sees changes of settings its class declares live; its execution
+//! changes only while neither it nor another component in its thread runs.
 
 use serde_json::Value;
 
@@ -30,7 +30,8 @@ impl Planner {
         let execution = asked.map(|asked| self.execution(id, asked)).transpose()?.flatten();
         let merged = merge(&component.config, patch);
         let to = if merged.is_object() { complete(schema, merged) } else { merged };
-        // First what is wrong in any state: nobody should stop a running device over a misspelt name.
+        // Violations come first that are wrong in any state: a running device should not be stopped over a
+        // misspelt name.
         let mut violations = validate(schema, &to);
         violations.extend(unknown_nulls(schema, &component.config, patch));
         // A thread can be chosen before the configuration is complete.
@@ -62,7 +63,7 @@ impl Planner {
         Ok(())
     }
 
-    /// What the execution becomes, if that is different.
+    /// Returns the new execution, if it is different.
     fn execution(&self, id: &ComponentId, asked: &Execution) -> Result<Option<Execution>, Refusal> {
         let component = self.graph.component(id)?;
         let after = execution::change(&component.class.execution, &component.execution, asked);
@@ -71,8 +72,8 @@ impl Planner {
         Ok((component.execution != after).then_some(after))
     }
 
-    /// Destroys the component and those who run in its thread, and makes them anew with the configurations and connections
-    /// they had; `config` is the component's own, if it has one by now.
+    /// Destroys the component and those that run in its thread, and makes them anew with the configurations
+    /// and connections they had; `config` is the component's own, if it has one by now.
     fn make_anew(
         &mut self,
         id: &ComponentId,
@@ -127,7 +128,8 @@ impl Planner {
         check_circles(&self.graph)
     }
 
-    /// The component and all who run in its thread, hosts first; none of them may run or be in FAULT.
+    /// Returns the component and all that run in its thread, hosts first; none of them may run or be in
+    /// FAULT.
     fn thread_of(&self, id: &ComponentId) -> Result<Vec<(ComponentId, Component)>, Refusal> {
         let mut moved = vec![(id.clone(), self.graph.component(id)?.clone())];
         let mut at = 0;
@@ -149,7 +151,7 @@ impl Planner {
         Ok(moved)
     }
 
-    /// A moment without what it requires would stop an actuator that runs.
+    /// Refuses to part a running actuator from a connection it requires: it would stop.
     fn spare_actuators(&self, id: &ComponentId, connection: &Connection) -> Result<(), Refusal> {
         let client = &connection.client.component;
         let runs = self.graph.components.get(client).filter(|c| c.state == State::Active);

@@ -1,7 +1,7 @@
 //! Create: an instance, and its configuration when that is complete.
 //!
-//! Invariant: without a configuration the schema's defaults are taken, and what they leave open keeps the component in
-//! CREATED; a configuration that was given must be valid.
+//! Invariant: without a configuration the schema's defaults are taken, and open settings keep the component
+//! in CREATED; a configuration that was given must be valid.
 
 use std::sync::Arc;
 
@@ -64,7 +64,7 @@ impl Planner {
         Ok(())
     }
 
-    /// In a process that is there as soon as the plan is carried out, with the classes of `home`.
+    /// Creates in a process that is there as soon as the plan is carried out, with the classes of `home`.
     pub(super) fn create_apart(
         &mut self,
         id: &ComponentId,

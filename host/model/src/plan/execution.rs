@@ -1,7 +1,8 @@
-//! Where a component's thread comes from: the class's default overlaid with what is asked, and whose thread it is.
+//! The thread of a component: the class's default overlaid with the request, and the component that owns the
+//! thread.
 //!
-//! Invariant: a setting that was asked for is used or refused, never ignored; a default that does not fit the model that
-//! was asked for falls away.
+//! Invariant: a setting that was asked for is used or refused, never ignored; a default that does not fit the
+//! model that was asked for falls away.
 
 mod check;
 
@@ -11,19 +12,19 @@ pub use check::{class_fault, period_fault};
 use crate::{Component, ComponentId, Execution, ExecutionModel, Refusal, SystemGraph};
 
 impl ExecutionModel {
-    /// Steps on a grid, so a period means something.
+    /// Tells whether it steps on a grid, so that a period means something.
     pub(crate) fn has_grid(self) -> bool {
         matches!(self, ExecutionModel::Periodic | ExecutionModel::Stream)
     }
 
-    /// Runs inside another component's step.
+    /// Tells whether it runs inside another component's step.
     pub(super) fn is_inside(self) -> bool {
         matches!(self, ExecutionModel::ExecIn | ExecutionModel::ExecOut)
     }
 }
 
-/// The class's execution with everything `asked` sets in its place; a thread of another component brings its own rate,
-/// priority and processors.
+/// Returns the class's execution with everything `asked` sets in its place; a thread of another component
+/// brings its own rate, priority and processors.
 pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
     let named = |text: &Option<String>| text.clone().filter(|t| !t.is_empty());
     let (stream_of, inside) = (named(&asked.stream_of), named(&asked.inside));
@@ -74,8 +75,8 @@ pub(super) fn overlay(class: &Execution, asked: &Execution) -> Execution {
     }
 }
 
-/// The least that has to be asked of a class for an execution like `whole`: what the class has by itself is
-/// left out.
+/// Returns the least that has to be asked of a class for an execution like `whole`: settings the class has by
+/// itself are left out.
 pub fn least_execution(class: &Execution, whole: &Execution) -> Execution {
     let mut asked = whole.clone();
     for leave_out in LEAVING {
@@ -105,8 +106,8 @@ const LEAVING: [fn(&mut Execution); 13] = [
     |e| e.wake = None,
 ];
 
-/// The present execution with everything `asked` sets in its place. A model without a host means a thread of its own,
-/// but for exec_in and exec_out, which stay with the host they have.
+/// Returns the present execution with everything `asked` sets in its place. A model without a host means a
+/// thread of its own, but for exec_in and exec_out, which stay with the host they have.
 pub(super) fn change(class: &Execution, present: &Execution, asked: &Execution) -> Execution {
     if super::host_of(present).is_none() {
         let period_ns = present.period_ns.or(class.period_ns);
@@ -121,7 +122,7 @@ pub(super) fn change(class: &Execution, present: &Execution, asked: &Execution) 
     overlay(class, asked)
 }
 
-/// A component that would run in its own thread of thought: A in A.
+/// Refuses a component that would run in its own thread by way of its hosts: A in A.
 pub(super) fn check_cycle(
     graph: &SystemGraph,
     id: &ComponentId,
@@ -134,7 +135,7 @@ pub(super) fn check_cycle(
         if host == *id {
             return Err(Refusal::SyncCycle { path });
         }
-        // The graph itself holds no cycle, but a walk that trusts nobody ends anyway.
+        // The graph itself holds no cycle, but a walk that trusts no input ends anyway.
         if path.len() > graph.components.len() + 1 {
             break;
         }
@@ -143,7 +144,8 @@ pub(super) fn check_cycle(
     Ok(())
 }
 
-/// Whether the thread a component runs in is still there: its host may have been removed by force, or made anew.
+/// Checks that the thread a component runs in is still there: its host may have been removed by force, or
+/// made anew.
 pub(super) fn check_thread(graph: &SystemGraph, execution: &Execution) -> Result<(), String> {
     let Some(host) = super::host_of(execution) else { return Ok(()) };
     let field = if execution.stream_of.is_some() { "stream_of" } else { "inside" };
@@ -154,7 +156,7 @@ pub(super) fn check_thread(graph: &SystemGraph, execution: &Execution) -> Result
     }
 }
 
-/// Whether others can run in the stream or step of `host`.
+/// Checks that others can run in the stream or step of `host`.
 fn able(host: &Component, field: &str) -> Result<(), String> {
     let execution = &host.execution;
     let model = execution.model.map_or("nothing", ExecutionModel::name);

@@ -1,6 +1,7 @@
-//! Finding what a request names, and saying what exists when it does not.
+//! Finds what a request names, and says what exists when it does not.
 //!
-//! Invariant: an unknown process is reported before an unknown component, a lost process only when asked to act there.
+//! Invariant: an unknown process is reported before an unknown component, a lost process only when asked to
+//! act there.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -50,7 +51,8 @@ impl SystemGraph {
         })
     }
 
-    /// The class that `class` means in `process`: `plugin/class`, or the class alone where that is unique.
+    /// Returns the class that `class` means in `process`: `plugin/class`, or the class alone where that is
+    /// unique.
     ///
     /// # Errors
     /// PROCESS_NOT_FOUND; CLASS_NOT_FOUND with what exists, where else it exists, or what it could mean.
@@ -85,7 +87,8 @@ impl SystemGraph {
         self.connections.values().map(|c| format!("{}: {} → {}", c.id.0, c.server, c.client)).collect()
     }
 
-    /// The components `targets` mean, in the order of their paths; true = named, not only matched by a glob.
+    /// Returns the components `targets` mean, in the order of their paths; true = named, not only matched by
+    /// a glob.
     pub(super) fn targets(
         &self,
         verb: Verb,
@@ -134,7 +137,7 @@ fn find_class<'a>(classes: &'a [Arc<ClassInfo>], wanted: &str) -> Vec<&'a Arc<Cl
     classes.iter().filter(is).collect()
 }
 
-/// Every class as one would type it: short where unique, unless the question was asked in full.
+/// Returns every class as a user would type it: short where unique, unless the question was asked in full.
 fn spellings(classes: &[Arc<ClassInfo>], full: bool) -> Vec<String> {
     let spell = |c: &Arc<ClassInfo>| {
         if full || find_class(classes, &c.name).len() > 1 { c.full_name() } else { c.name.clone() }

@@ -1,8 +1,8 @@
 //! The planner: `(&SystemGraph, Request) → Plan | Refusal`.
 //!
-//! Invariant: pure, and every check happens here, before anything runs. Checks are made in the order of the error table
-//! (path, process, class, component, interface, direction, connected, types, cycle, tags, state, configuration, arguments), so
-//! that the same mistake always gets the same answer.
+//! Invariant: pure, and every check happens here, before anything runs. Checks are made in the order of the
+//! error table (path, process, class, component, interface, direction, connected, types, cycle, tags, state,
+//! configuration, arguments), so that the same mistake always gets the same answer.
 
 mod carrier;
 mod circle;
@@ -27,7 +27,7 @@ pub use wire::{default_max_age, made_of};
 
 use crate::{Change, ComponentId, Execution, Plan, Refusal, Request, Skipped, SystemGraph, inverse};
 
-/// What `request` would do to `graph`.
+/// Returns what `request` would do to `graph`.
 ///
 /// # Errors
 /// The first check that fails; nothing is changed by asking.
@@ -35,8 +35,8 @@ pub fn plan(graph: &SystemGraph, request: &Request) -> Result<Plan, Refusal> {
     plan_all(graph, std::slice::from_ref(request))
 }
 
-/// One plan for several requests, all or nothing. Later requests see the effects of earlier ones; a component that runs
-/// in another's stream or step may be listed before that one.
+/// Returns one plan for several requests, all or nothing. Later requests see the effects of earlier ones; a
+/// component that runs in another's stream or step may be listed before that one.
 ///
 /// # Errors
 /// The first check that fails.
@@ -48,7 +48,7 @@ pub fn plan_all(graph: &SystemGraph, requests: &[Request]) -> Result<Plan, Refus
     Ok(planner.plan)
 }
 
-/// Requests planned one after another, each by what those before it lead to. One that is refused changes
+/// Requests planned one after another, each on the result of those before it. A refused request changes
 /// nothing, and hides no other.
 pub struct Planning(Planner);
 
@@ -77,7 +77,7 @@ impl Planning {
         &self.0.graph
     }
 
-    /// All that was not refused.
+    /// Returns the plan of all that was not refused.
     pub fn plan(self) -> Plan {
         self.0.plan
     }
@@ -120,7 +120,8 @@ impl Planner {
     }
 }
 
-/// Indices of `requests`, each Create after the one it names in `stream_of` or `inside`; otherwise as given.
+/// Returns the indices of `requests`, each Create after the one it names in `stream_of` or `inside`;
+/// otherwise as given.
 fn in_order(graph: &SystemGraph, requests: &[Request]) -> Result<Vec<usize>, Refusal> {
     let mut creates = BTreeMap::new();
     for (i, request) in requests.iter().enumerate() {
@@ -161,7 +162,7 @@ fn in_order(graph: &SystemGraph, requests: &[Request]) -> Result<Vec<usize>, Ref
     Ok(order)
 }
 
-/// The component in whose thread this execution runs, if it names one that can be read.
+/// Returns the component in whose thread this execution runs, if it names one that can be read.
 pub fn host_of(execution: &Execution) -> Option<ComponentId> {
     let named = execution.stream_of.as_deref().or(execution.inside.as_deref())?;
     ComponentId::parse(named).ok()

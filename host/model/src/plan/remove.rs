@@ -38,7 +38,7 @@ impl Planner {
         Ok(())
     }
 
-    /// The process itself leaves with them; that is no change of a component.
+    /// Forgets a process: it leaves together with its components; that is no change of a component.
     pub(super) fn forget(&mut self, process: &Name) -> Result<(), Refusal> {
         let there = self.graph.process(process)?;
         if matches!(there.state, ProcessState::Attached | ProcessState::Restarting) {

@@ -1,7 +1,9 @@
-//! What a process gets back that was started again: the components it was to have, made anew, with their connections.
+//! Plan for a process that was started again: the components it was to have, made anew, with their
+//! connections.
 //!
-//! Invariant: nothing that moves something is put in motion, and nothing that stood still for a reason loses that reason. What
-//! cannot be made again is named with why, and keeps no other from coming back.
+//! Invariant: nothing that moves something is put in motion, and nothing that stood still for a reason loses
+//! that reason. A component that cannot be made again is named with the reason, and keeps no other from
+//! coming back.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -14,16 +16,17 @@ use crate::{
     SystemGraph, Verb,
 };
 
-/// What a process has already of what it is to have: nothing, unless it was interrupted while it got that back.
+/// Components and connections a process has already: none, unless it was interrupted while it got them back.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Here {
-    /// With how they stand.
+    /// Each with its state.
     pub components: BTreeMap<ComponentId, State>,
     pub connections: BTreeSet<ConnectionId>,
 }
 
-/// The changes that make anew what `process` was to have and has not; `skipped` is what cannot be made, or not be started.
-/// `wanted` says how components should stand where that is not how they were last seen.
+/// Returns the changes that make anew what `process` was to have and has not; `skipped` is what cannot be
+/// made, or not be started. `wanted` has the states components should have where they differ from the last
+/// seen ones.
 pub fn restore(
     graph: &SystemGraph,
     process: &Name,
@@ -114,8 +117,8 @@ pub fn restore(
     plan
 }
 
-/// How it stands once it is made again and before anything is started. A new instance of what had failed is ready, but
-/// nobody has looked at why.
+/// Returns the state of a component once it is made again and before anything is started. A new instance of a
+/// failed component is ready, but its failure has not been looked into.
 fn stands(was: State, moves: bool) -> State {
     match was {
         State::Created => State::Created,
@@ -126,7 +129,7 @@ fn stands(was: State, moves: bool) -> State {
     }
 }
 
-/// Whoever lends its thread comes before those who run in it; a circle is cut at its first path.
+/// Orders each owner of a thread before the components that run in it; a circle is cut at its first path.
 fn owners_first(components: &BTreeMap<&ComponentId, &Component>) -> Vec<ComponentId> {
     let mut order: Vec<ComponentId> = Vec::with_capacity(components.len());
     let mut left: Vec<(&ComponentId, Option<ComponentId>)> =

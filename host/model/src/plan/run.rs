@@ -1,9 +1,9 @@
 //! Start, Stop, Resume, Reset: over names and globs, ordered by the graph.
 //!
-//! Invariant: Stop is refused for nothing but an unknown component, and what it named is set in motion by nobody who has not
-//! been asked after it. A glob never puts into motion, nor makes ready for a
-//! later glob, what waits for somebody to look at it: STOPPED{restarted, interlock, peer_lost}. Nothing is set in motion
-//! while an end it requires is open.
+//! Invariant: Stop is refused for nothing but an unknown component, and a component it named is set in motion
+//! only by a later request for it. A glob never puts into motion, nor makes ready for a later glob, a
+//! component that waits for an operator to look at it: STOPPED{restarted, interlock, peer_lost}. Nothing is
+//! set in motion while an end it requires is open.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -106,7 +106,7 @@ impl Planner {
     }
 }
 
-/// Why a glob leaves a component in `state` alone.
+/// Returns why a glob leaves a component in `state` alone.
 fn spared(state: State, verb: Verb) -> Option<String> {
     let waits = |reason: StopReason| {
         (reason != StopReason::Requested).then(|| {
@@ -128,7 +128,7 @@ fn spared(state: State, verb: Verb) -> Option<String> {
     }
 }
 
-/// What to add to "not allowed in state …".
+/// Returns the addition to "not allowed in state …".
 fn reason(component: &Component) -> String {
     match component.state {
         State::Created => {
@@ -141,7 +141,7 @@ fn reason(component: &Component) -> String {
     }
 }
 
-/// Names of the inputs and required interfaces of `component` that must be connected and are not.
+/// Returns the names of the inputs and required interfaces of `component` that must be connected and are not.
 pub fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -> Vec<String> {
     let sources = graph.connections.values().map(|c| &c.client).filter(|c| c.component == *id);
     let connected: BTreeSet<&str> = sources.map(|c| c.port.as_str()).collect();
@@ -151,8 +151,9 @@ pub fn open_ends(graph: &SystemGraph, id: &ComponentId, component: &Component) -
     open.map(|(name, _)| name.to_owned()).collect()
 }
 
-/// Servers before clients; but whoever lends its thread comes after those who run in it: the head of a stream sets the rest
-/// in motion, and its first sample must find them there. Circles are cut at the first path.
+/// Orders servers before clients; but the owner of a thread comes after those that run in it: the head of a
+/// stream sets the rest in motion, and its first sample must find them there. Circles are cut at the first
+/// path.
 pub(super) fn servers_first(
     graph: &SystemGraph,
     targets: Vec<(ComponentId, bool)>,

@@ -1,7 +1,8 @@
-//! Who may be connected to simulated worlds: tags of ports, enforced at Connect and whenever ports change.
+//! Connections to simulated worlds: tags of ports, enforced at Connect and whenever ports change.
 //!
-//! Invariant: what is tagged `truth` or `sim` never reaches an actuator but through ports tagged `sim`, in no order of
-//! connecting: each new connection is judged together with all there are, and all there are when ports change.
+//! Invariant: data tagged `truth` or `sim` never reaches an actuator but through ports tagged `sim`, in no
+//! order of connecting: each new connection is judged together with all there are, and all there are when
+//! ports change.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -10,8 +11,8 @@ use crate::{
     ComponentId, Connection, ConnectionId, Link, Port, Ports, Refusal, Safety, SystemGraph, Tag, bindings,
 };
 
-/// Refuses `new`, which takes the place of any other source of its client, when it joins a port for simulated devices to
-/// one that is not, or when it opens a way from what is tagged to an actuator.
+/// Refuses `new`, which takes the place of any other source of its client, when it joins a port for simulated
+/// devices to one that is not, or when it opens a way from a tagged port to an actuator.
 pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> Result<(), Refusal> {
     let (takes, has) = tags(graph, new)?;
     if takes == Tag::Sim && has != Tag::Sim {
@@ -31,14 +32,14 @@ pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> 
     told.into_iter().try_for_each(|(tag, connection)| ways.check(graph, tag, connection))
 }
 
-/// The connections that tags forbid as the ports are now, each with the reason. Of a way from the truth to an actuator it is the one
-/// that tells the truth.
+/// Returns the connections that tags forbid as the ports are now, each with the reason. On a way from the
+/// truth to an actuator it is the connection that tells the truth.
 pub(crate) fn forbidden(graph: &SystemGraph) -> Vec<(ConnectionId, Refusal)> {
     let mut all = Vec::new();
     let mut ways = Ways::default();
     graph.connections.values().for_each(|connection| ways.add(graph, connection, None));
     for connection in graph.connections.values() {
-        // What has no such port any more is no connection.
+        // A connection whose ports are gone is skipped.
         let Ok((takes, has)) = tags(graph, connection) else { continue };
         let (client, server) = (connection.client.clone(), connection.server.clone());
         let judged = match told(graph, connection) {
@@ -61,14 +62,14 @@ fn tags(graph: &SystemGraph, c: &Connection) -> Result<(Tag, Tag), Refusal> {
     })
 }
 
-/// What this connection tells a client that is no simulated device.
+/// Returns the tagged data this connection tells a client that is no simulated device.
 fn told<'c>(graph: &SystemGraph, c: &'c Connection) -> Option<(Tag, &'c Connection)> {
     let (takes, has) = tags(graph, c).ok()?;
     (has != Tag::None && takes != Tag::Sim).then_some((has, c))
 }
 
-/// Who tells whom: along each stream, and over each interface to the server what is sent or called, to the client what
-/// is read, answered or raised. A read tells the server nothing.
+/// Ways of data between components: along each stream, and over each interface to the server what is sent or
+/// called, to the client what is read, answered or raised. A read tells the server nothing.
 #[derive(Default)]
 struct Ways(BTreeMap<ComponentId, BTreeSet<ComponentId>>);
 
@@ -92,7 +93,7 @@ impl Ways {
         }
     }
 
-    /// Refuses what tells something tagged to a client from whom a way leads to an actuator.
+    /// Refuses a connection that tells tagged data to a client from which a way leads to an actuator.
     fn check(&self, graph: &SystemGraph, tag: Tag, telling: &Connection) -> Result<(), Refusal> {
         let (client, server) = (telling.client.clone(), telling.server.clone());
         match self.to_actuator(graph, &client.component) {
@@ -126,7 +127,7 @@ impl Ways {
     }
 }
 
-/// Does this link tell its client something, and its server?
+/// Returns whether this link tells its client something, and its server.
 fn directions_of(link: &Link, client: &Ports, server: &Ports) -> (bool, bool) {
     let Link::Interface { required, provided, binding } = link else { return (true, false) };
     let (functions, commands) = (&client.required[*required].functions, &server.provided[*provided].commands);

@@ -1,7 +1,7 @@
 //! Connect and Disconnect.
 //!
-//! Invariant: a client end has at most one source; what is connected has been bound by [`crate::bindings`] on the ports
-//! as they are now. Nobody's state changes.
+//! Invariant: a client end has at most one source; every connection has been bound by [`crate::bindings`] on
+//! the ports as they are now. No component's state changes.
 
 use super::circle::{check_circle, is_stream};
 use super::tags::check_tags;
@@ -73,7 +73,7 @@ impl Planner {
             let asked = match which {
                 Which::Id(id) => id.0.to_string(),
                 Which::Pair { client, server } => {
-                    // A name that is not there is told as such, and so are ends the wrong way round.
+                    // A missing name is told as such, and so are ends the wrong way round.
                     let (a, b) =
                         (self.graph.component(&client.component)?, self.graph.component(&server.component)?);
                     directions(&a.ports, client, &b.ports, server)?;
@@ -90,13 +90,13 @@ impl Planner {
     }
 }
 
-/// The input with a type, beside this client, that made an untyped output what it is.
+/// Returns the input with a type, beside this client, that gave an untyped output its type.
 pub fn made_of<'g>(
     graph: &'g SystemGraph,
     client: &PortId,
     server: &PortId,
 ) -> Option<(&'g PortId, &'g PortType)> {
-    // The client's present source, should this replace one, says nothing about the server.
+    // The client's present source, which this one may replace, says nothing about the server.
     let others = graph.connections.values().filter(|c| c.server == *server && c.client != *client);
     let typed = others.filter_map(|c| {
         let ports = &graph.components.get(&c.client.component)?.ports;
@@ -106,7 +106,8 @@ pub fn made_of<'g>(
     typed.min_by_key(|(port, _)| *port)
 }
 
-/// An untyped output is what the first input with a type made of it; two untyped ends alone have nothing to agree on.
+/// Checks the type: the first input with a type gives it to an untyped output; two untyped ends alone have
+/// nothing to agree on.
 fn check_any(
     graph: &SystemGraph,
     (input, output): (&PortType, &PortType),
@@ -128,7 +129,8 @@ fn check_any(
     }
 }
 
-/// The default of `max_age`: three periods, where an actuator takes samples that come on a grid; otherwise none.
+/// Returns the default of `max_age`: three periods, where an actuator takes samples that come on a grid;
+/// otherwise none.
 pub fn default_max_age(graph: &SystemGraph, connection: &Connection) -> Option<u64> {
     let client = graph.components.get(&connection.client.component)?;
     if client.class.safety != Safety::Actuator || !is_stream(graph, connection) {

@@ -216,7 +216,8 @@ impl Refusal {
         m.0
     }
 
-    /// (field of the request, what is wrong with it), for the BadRequest detail; empty where no field is to blame.
+    /// Returns (field of the request, what is wrong with it), for the BadRequest detail; empty where no field
+    /// is to blame.
     pub fn field_violations(&self) -> Vec<(String, String)> {
         match self {
             Refusal::ConfigInvalid { violations, .. } => {

@@ -246,9 +246,9 @@ pub fn errors_markdown() -> String {
         "# Errors\n\n\
          Generated from the refusals of `trocar-model`; a test compares (`TROCAR_BLESS=1 cargo test -p trocar-model` \
          writes it anew).\n\n\
-         Every refusal reaches the caller as a gRPC status: the code below, an `ErrorInfo` with the reason, domain \
-         `trocar.v1` and the values as metadata, a `BadRequest` where a field is to blame, and a sentence with what \
-         was asked, what is wrong and what exists.\n\n\
+         Every refusal reaches the caller as a gRPC status with the code below. Its sentence says what was asked, what \
+         is wrong and what exists. Its details are an `ErrorInfo` (reason, domain `trocar.v1`, the values as metadata) \
+         and, where a field is to blame, a `BadRequest`.\n\n\
          | reason | code | metadata |\n|---|---|---|\n",
     );
     let all = Refusal::examples();

@@ -10,7 +10,7 @@ use crate::{MAX_COPIES, ProcessState, Refusal, Tag, nearest};
 /// Entries of a list that are spelled out.
 const MOST: usize = 12;
 
-/// Characters of a text somebody sent that are repeated to him.
+/// Most characters of a sent text that are repeated to its sender.
 const ECHO: usize = 200;
 
 /// Ends the difference of two types whose fields only moved.
@@ -23,7 +23,8 @@ pub(crate) fn scattered() -> String {
     )
 }
 
-/// What was sent, cut where it is longer than anybody reads; an answer must fit the header it travels in.
+/// Returns the text that was sent, cut where it is longer than any reader needs; an answer must fit the
+/// header it travels in.
 pub fn brief(text: &str) -> Cow<'_, str> {
     match text.char_indices().nth(ECHO) {
         None => Cow::Borrowed(text),
@@ -46,7 +47,7 @@ pub(super) fn list<T: Display>(items: &[T]) -> String {
 
 /// The known name nearest to the mistyped one.
 pub(super) fn near<T: Display>(wanted: &str, known: &[T]) -> Option<String> {
-    // Nothing that long was a slip, and the distance costs the product of the lengths.
+    // A word that long is no typing error, and the distance costs the product of the lengths.
     if wanted.len() > ECHO {
         return None;
     }
@@ -346,7 +347,7 @@ fn is_are(n: usize) -> &'static str {
     if n == 1 { "is" } else { "are" }
 }
 
-/// What is wrong with a file, which the sentence has named already.
+/// Returns what is wrong with a file, without its name: the sentence has named it already.
 fn without_file<'a>(file: &str, text: &'a str) -> &'a str {
     let name = file.rsplit('/').next().unwrap_or(file);
     let rest = text.strip_prefix(file).or_else(|| text.strip_prefix(name));

@@ -1,6 +1,7 @@
 //! The units a class declares: all of them must be readable.
 //!
-//! Invariant: every place a unit can stand in a description is looked at; the answer names the first bad one with its place.
+//! Invariant: every place a unit can stand in a description is looked at; the answer names the first bad one
+//! with its place.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +11,7 @@ use super::Unit;
 use crate::{ClassInfo, PortType, Ports, Type};
 
 impl ClassInfo {
-    /// Whether every unit of its ports and settings can be read.
+    /// Checks that every unit of its ports and settings can be read.
     ///
     /// # Errors
     /// The place, the text and what was probably meant.

@@ -1,6 +1,7 @@
-//! The symbols that are known: SI, and what devices of the field count in.
+//! Known symbols: SI, and the units that devices of the field count in.
 //!
-//! Invariant: sorted by what they measure; a symbol stands for powers of bases that stand only for themselves.
+//! Invariant: sorted by what they measure; a symbol stands for powers of bases that stand only for
+//! themselves.
 
 use crate::nearest;
 
@@ -84,7 +85,7 @@ const SYMBOLS: &[Symbol] = &[
     plain("h", &[("h", 1)]),
     plain("d", &[("d", 1)]),
     plain("rpm", &[("rev", 1), ("min", -1)]),
-    // What is counted.
+    // Counted things.
     si("B", &[("B", 1)]),
     si("bit", &[("bit", 1)]),
     si("Bd", &[("Bd", 1)]),
@@ -103,7 +104,7 @@ const SYMBOLS: &[Symbol] = &[
     plain("dBm", &[("dBm", 1)]),
 ];
 
-/// What people write instead.
+/// Common other spellings.
 const HABITS: &[(&str, &str)] = &[
     ("meter", "m"),
     ("metre", "m"),

@@ -1,7 +1,7 @@
 //! A value between two rows of one type.
 //!
-//! Invariant: every result is a value of the type whenever both rows are; at 0 it is exactly the first row, at 1 exactly
-//! the second.
+//! Invariant: every result is a value of the type whenever both rows are; at 0 it is exactly the first row,
+//! at 1 exactly the second.
 //!
 //! | kind | between |
 //! |---|---|
@@ -15,7 +15,7 @@
 use super::{At, BEYOND, Res, checked_size};
 use crate::{Field, Prim, StructType, Type};
 
-/// How far the length of a unit quaternion may be from 1.
+/// Largest difference of the length of a unit quaternion from 1.
 const UNIT: f64 = 1e-3;
 /// Cosine of an angle so small that a straight line is the arc.
 const STRAIGHT: f64 = 0.9995;
@@ -23,7 +23,8 @@ const STRAIGHT: f64 = 0.9995;
 /// The row at `fraction` of the way from `a` to `b`, 0 to 1.
 ///
 /// # Errors
-/// A row that is not one `ty` long, a fraction outside 0 to 1, a description that reaches beyond its own size.
+/// A row that is not one `ty` long, a fraction outside 0 to 1, a description that reaches beyond its own
+/// size.
 pub fn interpolate(ty: &Type, a: &[u8], b: &[u8], fraction: f64) -> Res<Vec<u8>> {
     let size = checked_size(ty)?;
     for row in [a, b] {
@@ -34,7 +35,7 @@ pub fn interpolate(ty: &Type, a: &[u8], b: &[u8], fraction: f64) -> Res<Vec<u8>>
     if !(0.0..=1.0).contains(&fraction) {
         return At::Top.err(format!("{fraction} is not a fraction from 0 to 1"));
     }
-    // What no field covers, and what is not blended, is that of the nearer row.
+    // Bytes that no field covers, and values that are not blended, are those of the nearer row.
     let mut out = if fraction < 0.5 { a.to_vec() } else { b.to_vec() };
     if fraction > 0.0 && fraction < 1.0 {
         blend(ty, &Rows { a, b, fraction }, &mut out)?;
@@ -166,8 +167,8 @@ fn read(p: Prim, row: &[u8]) -> [f64; 4] {
     std::array::from_fn(|i| row.get(i * p.size()..(i + 1) * p.size()).map_or(f64::NAN, |item| float(p, item)))
 }
 
-/// Along the shorter arc (Shoemake, Animating Rotation with Quaternion Curves, 1985); nothing where one is no unit
-/// quaternion.
+/// Along the shorter arc (Shoemake, Animating Rotation with Quaternion Curves, 1985); nothing where one is no
+/// unit quaternion.
 fn slerp(a: [f64; 4], b: [f64; 4], fraction: f64) -> Option<[f64; 4]> {
     let dot = |x: &[f64; 4], y: &[f64; 4]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
     let is_unit = |q: &[f64; 4]| (dot(q, q).sqrt() - 1.0).abs() <= UNIT;

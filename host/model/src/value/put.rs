@@ -1,6 +1,7 @@
 //! JSON → bytes.
 //!
-//! Invariant: `out` is zero when it comes in, so that what is left out (stamps, tails of lists and texts) is zero too.
+//! Invariant: `out` is zero when it comes in, so that absent parts (stamps, tails of lists and texts) are
+//! zero too.
 
 use serde_json::Value;
 

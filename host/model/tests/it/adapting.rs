@@ -24,7 +24,7 @@ fn shuffled(ty: &Type, seed: &mut u64) -> Type {
     }
 }
 
-/// What a client of `to` is shown of `bytes`.
+/// Returns what a client of `to` sees of `bytes`.
 fn copied(to: &Type, from: &Type, bytes: &[u8]) -> Vec<u8> {
     let mut shown = vec![0; to.size()];
     for run in to.copy_plan(from).unwrap() {
@@ -47,7 +47,7 @@ proptest! {
     fn a_value_whose_fields_lie_in_another_order_arrives_whole((from, to, value) in two_orders()) {
         let sent = encode(&from, &value).unwrap();
         let shown = decode(&to, &copied(&to, &from, &sent)).unwrap();
-        // What is not a number is a text here, so equal bits are equal values.
+        // NaN is a text here, so equal bits are equal values.
         prop_assert_eq!(shown, decode(&from, &sent).unwrap());
     }
 

@@ -1,4 +1,5 @@
-//! What two ends must agree on beyond names: units, coordinate frames, types that one of them takes from the other, ages.
+//! Properties two ends must agree on beyond names: units, coordinate frames, types that one of them takes
+//! from the other, ages.
 
 use std::sync::Arc;
 
@@ -19,7 +20,8 @@ fn bound(client: Type, server: Type) -> Result<Link, Refusal> {
     bindings(&client, &port("a/c/i"), &server, &port("a/s/o"), &ConnectOptions::default())
 }
 
-/// Process host with a class of one optional input `i` and one output `o` of these types for each, made at once.
+/// Process host with a class of one optional input `i` and one output `o` of these types for each, made at
+/// once.
 fn stage(parts: &[(&str, PortType, PortType)]) -> SystemGraph {
     let mut graph = empty();
     let mut classes = graph.processes[&name("host")].classes.clone();

@@ -1,4 +1,4 @@
-//! Connections between processes: which carriers there are, and how their halves stand.
+//! Connections between processes: their possible carriers, and the state of their halves.
 
 use trocar_model::*;
 

@@ -172,7 +172,7 @@ fn a_change_of_execution_keeps_to_what_a_class_is_made_for_whoever_gives_the_pac
     let asked = Execution { period_ns: Some(20_000_000), ..e() };
     assert!(blamed(&graph, &change("host/x", asked.clone())).1.contains("50 Hz: class `servo` is made for"));
     done(&mut graph, &[change("host/x", inside("host/robot", None))]);
-    // In the step of another component, that one's rate is its own.
+    // In the step of another component, that component's rate counts.
     let refusal = refused(&graph, &change("host/robot", asked));
     assert!(
         matches!(&refusal, Refusal::InUse { by, .. } if by[0].contains("50 Hz in the step of `host/robot`: class `servo` is made for")),

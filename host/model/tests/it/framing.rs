@@ -1,4 +1,4 @@
-//! What a coordinate frame said of a whole port means for its payload's fields.
+//! Effect of a port's coordinate frame on the fields of its payload.
 
 use trocar_model::*;
 

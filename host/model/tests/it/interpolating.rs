@@ -1,4 +1,4 @@
-//! Values between two rows: what is blended, what is not, and that the result is always a value of the type.
+//! Values between two rows: blended ones, others, and that the result is always a value of the type.
 
 use std::sync::Arc;
 

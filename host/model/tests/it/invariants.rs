@@ -56,7 +56,7 @@ fn any_ends() -> impl Strategy<Value = (PortId, PortId)> {
     prop_oneof![4 => fitting, 1 => (end(&CLIENTS), end(&SERVERS)), 1 => (end(&SERVERS), end(&CLIENTS))]
 }
 
-/// Everybody is there, the filters in the source's stream, nothing is connected.
+/// All components are there, the filters in the source's stream, nothing is connected.
 fn stage() -> SystemGraph {
     let mut graph = empty();
     let requests: Vec<Request> = CAST
@@ -159,7 +159,7 @@ fn any_json() -> impl Strategy<Value = serde_json::Value> {
     object(value.boxed()).prop_map(|m| json!(m))
 }
 
-/// What an LCM may report between two requests.
+/// Returns any report of an LCM between two requests.
 fn any_report() -> impl Strategy<Value = (ComponentId, State)> {
     (any_id(), prop::sample::select(State::ALL.to_vec()))
 }

@@ -75,7 +75,7 @@ fn a_chain_steps_along_its_samples_whoever_was_made_first() {
     assert_eq!(ring.us(), [0, 0, 0], "alone each begins with its period");
     ring.connect(2, 0);
     ring.connect(0, 1);
-    // An eighth of the period for a step nobody has measured, and three sixteenths for threads that are late.
+    // An eighth of the period for an unmeasured step, and three sixteenths for threads that are late.
     assert_eq!(ring.us(), [312, 625, 0]);
     assert_eq!(ring.notes(), "");
 }
@@ -202,7 +202,8 @@ proptest! {
         }
     }
 
-    /// A tree has room for all, whatever its depth, as long as each period has room for a step and two margins.
+    /// A tree has room for all, whatever its depth, as long as each period has room for a step and two
+    /// margins.
     #[test]
     fn where_nobody_reads_two_that_feed_each_other_all_samples_arrive(
         feeders in prop::collection::vec(any::<prop::sample::Index>(), 7),

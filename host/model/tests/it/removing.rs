@@ -1,4 +1,4 @@
-//! Remove: not while somebody depends on it, unless forced.
+//! Remove: not while another component depends on it, unless forced.
 
 use trocar_model::*;
 

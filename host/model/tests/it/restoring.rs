@@ -1,4 +1,4 @@
-//! What a process gets back that was started again.
+//! Components and connections that a restarted process gets back.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -4,7 +4,7 @@ use trocar_model::*;
 
 use crate::scene::*;
 
-/// An actuator with a simulated tip, what is really so, and commands.
+/// An actuator with a simulated tip, the truth about it, and commands.
 fn arm() -> ClassInfo {
     let mut class = robot();
     class.safety = Safety::Actuator;
@@ -155,7 +155,7 @@ fn a_source_that_is_replaced_no_longer_counts() {
     done(&mut graph, connect("host/leader/arm", "host/arm/arm"));
 }
 
-/// The relay is told what has no tag, and hands it to whoever leads the arm.
+/// The relay is told untagged data, and hands it to the leader of the arm.
 fn led_by_a_measurement() -> SystemGraph {
     let mut graph = theatre();
     for (client, server) in [

@@ -1,4 +1,5 @@
-//! Units: every spelling of one unit is that unit, every other one is another, and nonsense gets a suggestion.
+//! Units: every spelling of one unit is that unit, every other one is another, and nonsense gets a
+//! suggestion.
 
 use proptest::prelude::*;
 use serde_json::json;

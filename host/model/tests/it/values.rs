@@ -1,4 +1,4 @@
-//! JSON ↔ bytes: what fits, what does not and why.
+//! JSON ↔ bytes: values that fit, values that do not, and why.
 
 use proptest::prelude::*;
 use serde_json::{Value, json};

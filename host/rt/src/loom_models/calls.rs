@@ -1,4 +1,4 @@
-//! What a call and a read rest on: rows of state, reply cells, replaced bindings.
+//! Basis of calls and reads: rows of state, reply cells, replaced bindings.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -66,7 +66,8 @@ fn loom_a_caller_is_answered_or_gives_up_and_the_cell_is_free_again() {
     });
 }
 
-/// Whoever notices that the server is gone, or not to be listened to any more, ends the call while the server may be at it.
+/// A thread that notices that the server is gone, or not to be listened to any more, ends the call while the
+/// server may handle it.
 #[test]
 fn loom_a_call_that_is_ended_meets_its_server_and_is_answered_once() {
     model(|| {
@@ -95,8 +96,7 @@ fn loom_a_call_that_is_ended_meets_its_server_and_is_answered_once() {
     });
 }
 
-/// Nothing but a wake ends the sleep of a caller without a deadline: without it loom finds nobody to go on
-/// with.
+/// Only a wake ends the sleep of a caller without a deadline: without it loom finds no thread to go on with.
 #[test]
 fn loom_a_caller_that_sleeps_is_woken_by_the_answer_and_by_the_end_of_its_server() {
     let ends: [fn(&ReplyPool, u64); 3] = [
@@ -164,7 +164,8 @@ fn loom_a_replaced_binding_is_dropped_after_its_callers_left() {
     });
 }
 
-/// A cell given up and used again while the first call's server may still be at it: each caller gets its own answer or none.
+/// A cell given up and used again while the first call's server may still run: each caller gets its own
+/// answer or none.
 #[test]
 fn loom_a_cell_used_again_after_a_deadline_carries_the_second_answer_only() {
     model(|| {
@@ -184,7 +185,7 @@ fn loom_a_cell_used_again_after_a_deadline_carries_the_second_answer_only() {
             Reply::Done(status) => assert_eq!((status, got), (1, 1)),
             Reply::DeadlineNotStarted | Reply::DeadlineMayRun => assert_eq!(got, 0),
         }
-        // Not while the first server is still at it.
+        // Refused while the first server still runs.
         if let Some(second) = pool.acquire() {
             assert_ne!(second.token(), token);
             let running = pool.begin(second.token(), -1).unwrap();
@@ -200,7 +201,8 @@ fn loom_a_cell_used_again_after_a_deadline_carries_the_second_answer_only() {
     });
 }
 
-/// What a caller and whoever stops its server have in common while that one's thread is held up and drains nothing.
+/// State that a caller shares with the thread that stops its server, while the server's thread is held up and
+/// drains nothing.
 struct HeldUp {
     active: AtomicBool,
     mark: Mark,
@@ -209,7 +211,7 @@ struct HeldUp {
 }
 
 impl HeldUp {
-    /// As a call of a command is queued; its answer, when it is known before the caller waits.
+    /// Queues a call as a caller of a command does, and answers it where the answer is known before the wait.
     fn call(&self, token: u64) {
         if !self.active.load(Ordering::SeqCst) {
             self.replies.fail(token, NOT_ACTIVE);
@@ -235,8 +237,8 @@ impl HeldUp {
 
 const NOT_ACTIVE: i32 = 5;
 
-/// Without the caller's second look, or without the mark between stop and throwing out, a call can be in the queue of a server
-/// whose thread nobody can wait for, and sleep there until its deadline.
+/// Without the caller's second look, or without the mark between stop and throwing out, a call can stay in
+/// the queue of a server whose thread does not drain, and sleep there until its deadline.
 #[test]
 fn loom_a_call_that_meets_the_stop_of_its_server_is_answered_although_nobody_drains() {
     model(|| {

@@ -36,7 +36,7 @@ fn loom_who_sleeps_on_a_waker_and_a_bell_misses_neither() {
                 assert_eq!(brought.0.load(Ordering::Relaxed), 1, "a bell without what it was rung for");
                 rung = true;
             }
-            // A notification of its own is used up by the wait: what it was for is there then, or this goes on for ever.
+            // The wait uses up a notification of its own: its cause is there then, or this goes on for ever.
             told |= brought.1.load(Ordering::Relaxed) == 1;
         }
         other.join().unwrap();
@@ -44,7 +44,7 @@ fn loom_who_sleeps_on_a_waker_and_a_bell_misses_neither() {
     });
 }
 
-/// A sample of another process is copied once: neither the copy nor what came with it is ever torn or of two samples.
+/// A sample of another process is copied once: neither the copy nor its meta is ever torn or of two samples.
 #[test]
 fn loom_a_sample_of_another_process_is_whole_and_stays() {
     model(|| {
@@ -81,7 +81,7 @@ fn frames(slots: u32) -> (Arc<FramePool>, Arc<FarPools>, StreamWriter, StreamRea
     (pool, pools, writer, reader)
 }
 
-/// What the reader saw of a frame comes before whatever is written into its slot afterwards, and every lease ends once.
+/// The reader's look at a frame comes before any later write into its slot, and every lease ends once.
 #[test]
 fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
     model(|| {
@@ -109,7 +109,7 @@ fn loom_a_lent_frame_is_written_anew_only_after_its_reader_has_let_go() {
     });
 }
 
-/// Whoever takes frames back beside the writer turns no push away, loses no lease and ends none twice.
+/// A thread that takes frames back beside the writer turns no push away, loses no lease and ends none twice.
 #[test]
 fn loom_frames_are_taken_back_beside_a_writer_that_goes_on() {
     model_within(3, || {

@@ -140,7 +140,8 @@ fn loom_a_latest_wins_mailbox_never_leaves_its_server_asleep() {
     no_entry_stays_without_a_notification(Overflow::LatestWins);
 }
 
-/// A push against a close of a mailbox of one that holds `queued` entries: each accepted head is handed back once.
+/// A push against a close of a mailbox of one that holds `queued` entries: each accepted head is handed back
+/// once.
 fn a_close_hands_every_head_back(queued: u64) {
     model(move || {
         let mail = Arc::new(Mailbox::new(1, 8, 0));
@@ -177,7 +178,8 @@ fn loom_a_dropping_push_against_a_close_loses_no_head() {
     a_close_hands_every_head_back(1);
 }
 
-/// As above with entries queued before: a push that finds no room after all must not have hidden one from the drain.
+/// As above with entries queued before: a push that finds no room after all must not have hidden one from the
+/// drain.
 #[test]
 fn loom_a_push_that_drops_nothing_hides_no_entry_from_the_drain() {
     model_within(2, || {
@@ -210,7 +212,8 @@ fn loom_a_push_that_drops_nothing_hides_no_entry_from_the_drain() {
     });
 }
 
-/// What is thrown out while the server drains is run or refused, each once, and the payload is still its own.
+/// An entry that is thrown out while the server drains is run or refused, once, and the payload is still its
+/// own.
 #[test]
 fn loom_what_is_thrown_out_during_a_drain_is_run_or_refused_once() {
     model(|| {
@@ -240,8 +243,9 @@ fn loom_what_is_thrown_out_during_a_drain_is_run_or_refused_once() {
     });
 }
 
-/// A drain that meets an entry in the hands of whoever throws out goes to sleep over those behind it: that one tells its
-/// server of what it leaves. Without the mark in between, it may not see what the drain has left to it.
+/// A drain that meets an entry in the hands of a throwing-out thread goes to sleep over those behind it: that
+/// thread tells the server of the entries it leaves. Without the mark in between, it may not see what the
+/// drain has left to it.
 #[test]
 fn loom_what_is_pushed_behind_a_throwing_out_does_not_stay_without_a_mark() {
     model(|| {

@@ -1,7 +1,8 @@
 //! Loom models: every interleaving of two or three threads over the lock-free cores, within loom's bounds.
 //!
-//! Run with `RUSTFLAGS="--cfg loom" cargo test -p trocar-rt --release --lib loom_`. A model that needs what its module keeps
-//! to itself lies there. Invariant: each of them fails when one of the orders it is about is weakened.
+//! Run with `RUSTFLAGS="--cfg loom" cargo test -p trocar-rt --release --lib loom_`. A model that needs
+//! private parts of a module lies in that module. Invariant: each of them fails when one of the orders it is
+//! about is weakened.
 #![allow(clippy::unwrap_used)]
 
 mod calls;
@@ -14,8 +15,9 @@ mod team;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Runs the model, and fails when loom found nothing to interleave: such a model shows nothing. (loom compares
-/// an access with the last one of the same atomic only, so a thread's own load can hide a conflict from it.)
+/// Runs the model, and fails when loom found nothing to interleave: such a model shows nothing. (loom
+/// compares an access with the last one of the same atomic only, so a thread's own load can hide a conflict
+/// from it.)
 fn model(f: impl Fn() + Sync + Send + 'static) {
     model_within(3, f);
 }

@@ -31,7 +31,8 @@ fn loom_a_slot_is_lent_to_one_and_comes_back_after_its_last_frame() {
     });
 }
 
-/// What a holder wrote beside its slot is seen by the next one, and every loan is a slot or counted as refused.
+/// The next holder of a slot sees what the last one wrote beside it, and every loan is a slot or counted as
+/// refused.
 #[test]
 fn loom_a_slot_goes_from_holder_to_holder_and_refusals_are_counted() {
     model(|| {
@@ -52,7 +53,7 @@ fn loom_a_slot_goes_from_holder_to_holder_and_refusals_are_counted() {
     });
 }
 
-/// The last of several readers gives the slot back: whoever writes it next comes after all of them.
+/// The last of several readers gives the slot back: its next writer comes after all of them.
 #[test]
 fn loom_a_slot_is_written_again_after_its_last_reader() {
     model(|| {
@@ -77,7 +78,8 @@ fn loom_a_slot_is_written_again_after_its_last_reader() {
     });
 }
 
-/// The same number on two threads: one of them gets the frame, and writes it after whoever gave the number out.
+/// The same number on two threads: one of them gets the frame, and writes it after the thread that gave the
+/// number out.
 #[test]
 fn loom_a_number_that_comes_back_twice_brings_one_frame() {
     model(|| {

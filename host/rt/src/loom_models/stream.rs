@@ -49,7 +49,8 @@ fn loom_a_keeping_queue_counts_every_sample() {
     samples_come_in_order_and_all_are_counted(Queue::Fifo { depth: 1, drop: DropPolicy::DropNewest });
 }
 
-/// Three samples against a reader that goes on to the newest of a full queue: what gives way is always an older one.
+/// Three samples against a reader that goes on to the newest of a full queue: the sample that gives way is
+/// always an older one.
 #[test]
 fn loom_a_dropping_queue_never_gives_up_its_newest_sample() {
     model(|| {
@@ -75,7 +76,8 @@ fn loom_a_dropping_queue_never_gives_up_its_newest_sample() {
     });
 }
 
-/// A push that finds no slot free takes frames out of the queue, down to none, while the reader takes them from the same end.
+/// A push that finds no slot free takes frames out of the queue, down to none, while the reader takes them
+/// from the same end.
 #[test]
 fn loom_frames_given_up_for_a_slot_are_taken_by_one_end_and_counted() {
     model(|| {

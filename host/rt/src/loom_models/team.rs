@@ -1,4 +1,4 @@
-//! Teams: done means done, for their owner and for whoever comes in between.
+//! Teams: done means done, for their owner and for a caller that comes in between.
 
 use std::sync::Arc;
 
@@ -7,8 +7,8 @@ use loom::thread;
 use super::{Plain, model_within};
 use crate::team::Team;
 
-/// Jobs after each other whose data live on the owner's stack: a helper that comes late must not touch the next
-/// job with the last one's, and the owner must see what every slice wrote.
+/// Jobs after each other whose data live on the owner's stack: a helper that comes late must not touch the
+/// next job with the last one's, and the owner must see what every slice wrote.
 fn a_team_is_done_when_it_says_so(preemptions: usize, threads: usize, jobs: u64) {
     model_within(preemptions, move || {
         let team = Team::new(threads, |_| {}).unwrap();
@@ -35,7 +35,8 @@ fn loom_a_team_of_three_is_done_when_it_says_so() {
     a_team_is_done_when_it_says_so(1, 3, 1);
 }
 
-/// Whoever comes while a job is at work runs alone; whoever comes after it finds the desk as if it were new.
+/// A caller that comes while a job is at work runs alone; one that comes after it finds the desk as if it
+/// were new.
 #[test]
 fn loom_two_callers_of_a_team_keep_out_of_each_others_way() {
     model_within(1, || {

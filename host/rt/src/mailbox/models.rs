@@ -19,7 +19,7 @@ fn loom_a_push_that_never_met_the_drain_waits_for_its_slot() {
             let (mail, suspended) = &*theirs;
             assert_eq!(mail.drain(|_, _| {}, |_| {}), 3);
             assert_eq!(mail.oldest_for(3), 3);
-            // Relaxed on purpose: to be told so is no order.
+            // Relaxed on purpose: being told of the suspension brings no order.
             suspended.store(true, Ordering::Relaxed);
         });
         let (mail, suspended) = &*shared;

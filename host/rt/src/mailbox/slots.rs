@@ -1,15 +1,15 @@
-//! The slots of a mailbox, and whose each of them is.
+//! The slots of a mailbox, and the owner of each.
 //!
-//! Invariant: only who moved a slot's sequence to *busy*, or claimed the tail over a free one, touches its body and payload, until
-//! the sequence moves on.
+//! Invariant: only the thread that moved a slot's sequence to *busy*, or claimed the tail over a free one,
+//! touches its body and payload, until the sequence moves on.
 
 use super::{EntryHead, Mailbox, Overflow};
 use crate::buf::copy;
 use crate::region::{AnyBits, Plain};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, Shared, pause_while};
 
-/// How long whoever empties the mailbox looks at an entry that another thread is just copying, ns: many times what a copy
-/// takes, unless that thread was suspended over it.
+/// Longest look of a thread that empties the mailbox at an entry another thread is just copying, ns: many
+/// times the length of a copy, unless that thread was suspended over it.
 const COPYING_NS: u64 = 5_000;
 
 pub(super) const FREE: u64 = 0;
@@ -21,7 +21,7 @@ pub(super) const fn phase(at: u64, phase: u64) -> u64 {
     at.wrapping_mul(4).wrapping_add(phase)
 }
 
-/// The position behind. Those that another process writes may be anything, and then mean nothing.
+/// Returns the position behind. Positions that another process writes may be anything, and then mean nothing.
 pub(super) const fn after(at: u64) -> u64 {
     at.wrapping_add(1)
 }
@@ -67,7 +67,7 @@ impl Mailbox {
         &self.slots[at as usize & (self.slots.len() - 1)]
     }
 
-    /// Of `stride` bytes at least; for the owner of the slot.
+    /// Returns room for at least `stride` bytes; for the owner of the slot.
     #[inline]
     pub(super) fn payload(&self, at: u64) -> *mut u8 {
         if self.stride <= SMALL {
@@ -88,7 +88,7 @@ impl Mailbox {
     }
 
     /// Takes the right to the oldest entry before position `end`. Each further turn means that another thread
-    /// took one, so more turns than entries are somebody's game with the words.
+    /// took one; more turns than entries mean a process that plays with the words.
     #[inline]
     pub(super) fn claim_oldest(&self, end: u64) -> Claim {
         for _ in 0..=self.slots.len() {
@@ -106,7 +106,8 @@ impl Mailbox {
         Claim::InWork
     }
 
-    /// As `claim_oldest`, for managers and failures: an entry in another thread's hands is looked at a little longer.
+    /// As `claim_oldest`, for managers and failures: an entry in another thread's hands is looked at a little
+    /// longer.
     pub(super) fn claim_patiently(&self, end: u64) -> Claim {
         let claim = self.claim_oldest(end);
         let Claim::InWork = claim else { return claim };

@@ -1,6 +1,7 @@
 //! A close beside a push that stands still.
 //!
-//! Promise: it sleeps meanwhile, and leaves no entry behind, nor uncounted where it cannot wait for it.
+//! Promise: the close sleeps meanwhile, and leaves no entry behind, nor uncounted where it cannot wait for
+//! it.
 
 use std::sync::mpsc;
 
@@ -14,7 +15,7 @@ fn sleeps(tid: i32) -> bool {
     stat.rsplit_once(") ").is_some_and(|(_, rest)| rest.starts_with('S'))
 }
 
-/// A push that was suspended under a thread of higher priority would never come on while that one spins.
+/// A push that was suspended under a thread of higher priority would never go on while that thread spins.
 #[test]
 fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_afterwards() {
     let mail = Mailbox::new(2, 8, 0);
@@ -30,7 +31,7 @@ fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_a
             dropped
         });
         let tid = told.recv().expect("the thread begins");
-        // Asleep at each of several looks in a row; whoever spins or yields is ready to run.
+        // Asleep at each of several looks in a row; a thread that spins or yields is ready to run.
         let (mut asleep, mut looks) = (0, 0);
         while asleep < 50 && looks < LOOKS {
             asleep = if sleeps(tid) { asleep + 1 } else { 0 };
@@ -47,7 +48,7 @@ fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_a
     assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
 }
 
-/// Another process may never come on; if it does, it is told that its entry is queued.
+/// Another process may never go on; if it does, it is told that its entry is queued.
 #[test]
 fn a_close_that_cannot_wait_for_another_process_hands_out_what_that_has_not_written_and_all_behind_it() {
     let mut mail = Mailbox::new(4, 8, 0);
@@ -64,7 +65,7 @@ fn a_close_that_cannot_wait_for_another_process_hands_out_what_that_has_not_writ
     assert_eq!(mail.drain(|_, _| {}, |_| {}), 0, "who comes on late is not run: it was counted");
 }
 
-/// What a drain has in hand runs: it is not handed out as well.
+/// An entry in the hands of a drain runs: it is not handed out as well.
 #[test]
 fn a_close_that_cannot_wait_for_a_drain_leaves_it_the_entry_it_has_in_hand() {
     let mut mail = Mailbox::new(4, 8, 0);

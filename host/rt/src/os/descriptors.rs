@@ -1,8 +1,8 @@
-//! Descriptors that this program keeps open as long as it runs: what its runtimes wait at, the sockets it
-//! listens at, what it watches directories with.
+//! Descriptors that this program keeps open as long as it runs: those its runtimes wait at, the sockets it
+//! listens at, and those it watches directories with.
 //!
-//! Invariant: a check opens and reads nothing, since a number that was closed is given to whatever is opened
-//! next.
+//! Invariant: a check opens and reads nothing, since the number of a closed file is given to the next one
+//! that is opened.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -22,7 +22,8 @@ enum Kind {
 }
 
 impl Kind {
-    /// The kind of a descriptor that /proc lists as this; `None` for one that may be closed at any time.
+    /// Returns the kind of a descriptor that /proc lists as this; `None` for one that may be closed at any
+    /// time.
     fn of(fd: RawFd, listed: &str) -> Option<Kind> {
         match listed {
             "anon_inode:[eventpoll]" => Some(Kind::Epoll),
@@ -34,7 +35,7 @@ impl Kind {
     }
 }
 
-/// A descriptor, and which file it stood for.
+/// A descriptor, and the file it stood for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Descriptor {
     fd: RawFd,
@@ -45,13 +46,13 @@ pub struct Descriptor {
 
 impl Descriptor {
     fn is_there(&self) -> bool {
-        // Held meanwhile: a change by this program is seen whole.
+        // Held meanwhile, so that a change by this program is seen whole.
         let replaced = replaced();
         let now = file(self.fd);
         now == Some(self.file) || now.is_some() && replaced.get(&self.fd).copied() == now
     }
 
-    /// Without it a runtime of this program hears of nothing any more.
+    /// Tells whether a runtime of this program hears of nothing any more without it.
     pub fn is_vital(&self) -> bool {
         matches!(self.kind, Kind::Epoll | Kind::Eventfd)
     }
@@ -100,7 +101,7 @@ pub struct Lasting {
 }
 
 impl Lasting {
-    /// Descriptors that are open now. Reads /proc.
+    /// Lists the descriptors that are open now. Reads /proc.
     pub fn list() -> Lasting {
         let listed = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
         let all = listed.filter_map(|entry| {
@@ -117,22 +118,22 @@ impl Lasting {
         self.all.get(self.next).is_none_or(Descriptor::is_there)
     }
 
-    /// All have been looked at, and the first is the next.
+    /// Tells whether all have been looked at, and the first is the next.
     pub fn is_round(&self) -> bool {
         self.next + 1 >= self.all.len()
     }
 
-    /// A system call for each.
+    /// Tells whether all are there: a system call for each.
     pub fn are_all_there(&self) -> bool {
         self.all.iter().all(Descriptor::is_there)
     }
 
-    /// A system call for each that a runtime cannot do without.
+    /// Tells whether those are there that a runtime cannot do without: a system call for each.
     pub fn are_vital_there(&self) -> bool {
         self.all.iter().filter(|d| d.is_vital()).all(Descriptor::is_there)
     }
 
-    /// Descriptors that are gone, once. A system call for each.
+    /// Returns the descriptors that are gone, once. A system call for each.
     pub fn take_gone(&mut self) -> Vec<Descriptor> {
         let (there, gone) = self.all.iter().partition(|d| d.is_there());
         self.all = there;
@@ -140,7 +141,7 @@ impl Lasting {
     }
 }
 
-/// The file behind a descriptor; `None` when it is closed.
+/// Returns the file behind a descriptor; `None` when it is closed.
 fn file(fd: RawFd) -> Option<(u64, u64)> {
     let mut stat = MaybeUninit::<libc::stat>::uninit();
     // SAFETY: the place is a whole `stat`; the number need not be open.
@@ -165,7 +166,7 @@ mod tests {
 
     use super::*;
 
-    /// Only these: tests beside this one open and close others.
+    /// Looks at these only: tests beside this one open and close others.
     fn only(fds: [RawFd; 2]) -> Lasting {
         let mut all = Lasting::list();
         all.all.retain(|d| fds.contains(&d.fd));
@@ -180,7 +181,7 @@ mod tests {
         let (port, poll) = (listener.as_raw_fd(), epoll.as_raw_fd());
         let mut lasting = only([port, poll]);
         assert!(lasting.are_all_there() && lasting.take_gone().is_empty() && lasting.is_next_there());
-        // Another file comes to lie at its number, as after a close and an open.
+        // Another file takes its number, as after a close and an open.
         let other = fs::File::open("/dev/null")?;
         // SAFETY: both numbers are open and owned by this test.
         assert!(unsafe { libc::dup2(other.as_raw_fd(), port) } == port);

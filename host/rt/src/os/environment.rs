@@ -1,25 +1,25 @@
 //! The environment variables of the process, as far as they can be watched while other code may change them.
 //!
-//! Invariant: nothing of another's memory is read but by the kernel, which answers with an error where a
-//! pointer does not hold any more; nothing is ever changed, since no lock keeps other threads from reading.
+//! Invariant: only the kernel reads foreign memory, and it answers with an error where a pointer does not
+//! hold any more; nothing is ever changed, since no lock keeps other threads from reading.
 
 use std::collections::BTreeMap;
 use std::ffi::{c_char, c_void};
 use std::sync::atomic::{AtomicPtr, Ordering};
 
-/// Variables, and bytes of one, beyond which none are looked at.
+/// Most variables, and most bytes of one, that are looked at.
 const MOST: usize = 1 << 14;
 const LONGEST: usize = 1 << 16;
 /// No mapping ends within such a block.
 const PAGE: usize = 4096;
-/// Names that are told.
+/// Most names that are told.
 const TOLD: usize = 6;
 
 unsafe extern "C" {
     static mut environ: *mut *mut c_char;
 }
 
-/// The variables at one moment: where the text of each lies. `setenv`, `putenv` and `unsetenv` never write
+/// The variables at one moment: the place of each one's text. `setenv`, `putenv` and `unsetenv` never write
 /// into a text that is there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Environment {
@@ -27,7 +27,8 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// Some system calls; `None` where the kernel does not let a process read itself by them.
+    /// Looks at the variables with some system calls; `None` where the kernel does not let a process read
+    /// itself by them.
     pub fn look() -> Option<Environment> {
         // SAFETY: the C library's own variable, aligned and there as long as the process; whoever changes it
         // stores a whole pointer.
@@ -50,7 +51,7 @@ impl Environment {
         Some(Environment { texts })
     }
 
-    /// The changes since then, in words; `None` when there are none.
+    /// Returns the changes since then, in words; `None` when there are none.
     pub fn said_since(&self, before: &Environment) -> Option<String> {
         let names = self.changed_since(before);
         (!names.is_empty()).then(|| {
@@ -63,7 +64,8 @@ impl Environment {
         })
     }
 
-    /// Names of the variables that were set, unset or changed since; the last one says how many more.
+    /// Returns the names of the variables that were set, unset or changed since; the last one says how many
+    /// more.
     fn changed_since(&self, before: &Environment) -> Vec<String> {
         let new = |these: &Environment, those: &Environment| -> BTreeMap<String, Vec<u8>> {
             let new = these.texts.iter().filter(|text| !those.texts.contains(text));
@@ -93,7 +95,7 @@ impl Environment {
     }
 }
 
-/// Name and value; `None` for what is no variable, or no text any more.
+/// Returns name and value; `None` for a text that is no variable, or no text any more.
 fn variable(at: usize) -> Option<(String, Vec<u8>)> {
     let mut text = Vec::new();
     let end = loop {
@@ -111,7 +113,8 @@ fn variable(at: usize) -> Option<(String, Vec<u8>)> {
     is_name.then(|| (name.to_owned(), value))
 }
 
-/// The bytes from here to the end of the page, as the kernel reads them; none where there is no memory.
+/// Returns the bytes from here to the end of the page, as the kernel reads them; none where there is no
+/// memory.
 fn to_end_of_page(at: usize) -> Vec<u8> {
     let mut block = vec![0; PAGE - at % PAGE];
     let own = libc::iovec { iov_base: block.as_mut_ptr().cast(), iov_len: block.len() };

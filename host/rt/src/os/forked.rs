@@ -1,5 +1,5 @@
-//! Files that a forked child of this process must not keep: while it does, nobody else can listen or lock
-//! where this process did.
+//! Files that a forked child of this process must not keep: while it keeps them, no other process can listen
+//! or lock where this process did.
 //!
 //! Invariant: they are closed in the child before `fork` comes back there, by calls that are allowed at that
 //! moment. A child that runs another program loses them anyway, since they are close-on-exec; this is for
@@ -9,7 +9,7 @@ use std::os::fd::{AsFd, AsRawFd};
 use std::sync::Once;
 use std::sync::atomic::{AtomicI32, Ordering};
 
-/// So many files can be named: what is listened at, and callers.
+/// Most files that can be named: listeners, and callers.
 const MOST: usize = 4096;
 const NONE: i32 = -1;
 

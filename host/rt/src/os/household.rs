@@ -1,8 +1,8 @@
-//! State of the whole process that any code in it may change: its locale, what new files are closed to, what
-//! signals do, its standard streams, its environment.
+//! State of the whole process that any code in it may change: its locale, the mask for new files, the actions
+//! of signals, its standard streams, its environment.
 //!
-//! Invariant: looked at by system calls, so never from a step; only what differs is put back, and nothing of
-//! this program's own counts as another's doing.
+//! Invariant: looked at by system calls, so never from a step; only differences are put back, and a change of
+//! this program's own is never taken for foreign.
 
 use std::ffi::{CStr, CString, c_int, c_void};
 use std::fs::File;
@@ -13,7 +13,7 @@ use std::sync::OnceLock;
 
 use super::Environment;
 
-/// Signals that have names; those above are for whoever takes them.
+/// Signals that have names; those above are free for any use.
 const SIGNALS: [(c_int, &str); 20] = [
     (libc::SIGHUP, "SIGHUP"),
     (libc::SIGINT, "SIGINT"),
@@ -42,13 +42,13 @@ const STREAMS: [&str; 3] = ["standard input", "standard output", "standard error
 /// Copies of the standard streams, above their numbers.
 static KEPT: OnceLock<[Option<File>; STREAMS.len()]> = OnceLock::new();
 
-/// Keeps the standard streams as they are: what closes them takes nothing away from [`standard_error`], and
-/// they can be put back. Once; later calls change nothing.
+/// Keeps the standard streams as they are: code that closes them takes nothing away from [`standard_error`],
+/// and they can be put back. Once; later calls change nothing.
 pub fn keep_streams() {
     KEPT.get_or_init(|| [0, 1, 2].map(|fd| copy_from(fd, STREAMS.len() as c_int).map(File::from)));
 }
 
-/// A copy of an open descriptor, at the first free number from `least` on.
+/// Returns a copy of an open descriptor, at the first free number from `least` on.
 fn copy_from(fd: c_int, least: c_int) -> Option<OwnedFd> {
     // SAFETY: makes a new descriptor of one that need not be open, and closes none.
     let copy = unsafe { libc::fcntl(fd, libc::F_DUPFD_CLOEXEC, least) };
@@ -56,7 +56,7 @@ fn copy_from(fd: c_int, least: c_int) -> Option<OwnedFd> {
     (copy >= 0).then(|| unsafe { OwnedFd::from_raw_fd(copy) })
 }
 
-/// Standard error as it was when it was kept, whatever has become of its number since.
+/// Returns standard error as it was when it was kept, whatever has become of its number since.
 pub fn standard_error() -> impl Write {
     enum Out {
         Kept(&'static File),
@@ -91,7 +91,7 @@ pub struct Household {
 }
 
 impl Household {
-    /// Some 30 system calls.
+    /// Looks at the state with some 30 system calls.
     pub fn look() -> Household {
         Household {
             locale: locale(),
@@ -103,12 +103,12 @@ impl Household {
         }
     }
 
-    /// From now on is as it is `now` what is told and never put back.
+    /// Takes over from `now` the state that is only told and never put back.
     pub fn take_over(&mut self, now: &Household) {
         self.environment.clone_from(&now.environment);
     }
 
-    /// Puts back what `now` has changed since this, as far as that goes; says each thing that was.
+    /// Puts back what `now` has changed since this, as far as that goes; returns a sentence for each change.
     pub fn put_back(&self, now: &Household) -> Vec<String> {
         let mut said = Vec::new();
         if now.locale != self.locale {
@@ -165,7 +165,7 @@ fn locale() -> CString {
     unsafe { CStr::from_ptr(name) }.into()
 }
 
-/// As the kernel shows it: to ask by `umask` would change it for others meanwhile.
+/// Returns the mask as the kernel shows it: asking by `umask` would change it for others meanwhile.
 fn umask() -> Option<u32> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let word = status.lines().find_map(|line| line.strip_prefix("Umask:"))?;
@@ -181,7 +181,7 @@ fn handler(signal: c_int) -> libc::sigaction {
     }
 }
 
-/// The handler is code of this program, such as that of its runtime, and of no library.
+/// Tells whether the handler is code of this program, such as that of its runtime, and of no library.
 fn is_ours(handler: usize) -> bool {
     let of = |address: *const c_void| {
         let mut found = MaybeUninit::<libc::Dl_info>::uninit();
@@ -198,16 +198,16 @@ fn is_ours(handler: usize) -> bool {
         && of(handler as *const c_void) == own
 }
 
-/// Puts a closed stream back as it was kept. False where there is no copy, or another file has the number by
-/// now.
+/// Puts a closed stream back as it was kept. Returns false where there is no copy, or another file has the
+/// number by now.
 fn reopen(stream: usize) -> bool {
     let Some(kept) = KEPT.get().and_then(|kept| kept[stream].as_ref()) else { return false };
     match copy_from(kept.as_raw_fd(), stream as c_int) {
         Some(copy) if copy.as_raw_fd() == stream as c_int => {
-            // Programs that are started take it over, as they do the stream itself.
+            // Programs that are started take the copy over, as they do the stream itself.
             // SAFETY: changes a flag of a descriptor that is open.
             unsafe { libc::fcntl(copy.as_raw_fd(), libc::F_SETFD, 0) };
-            // It stays open under its number.
+            // The file stays open under its number.
             let _ = copy.into_raw_fd();
             true
         }
@@ -215,8 +215,7 @@ fn reopen(stream: usize) -> bool {
     }
 }
 
-/// Opens what takes everything and gives nothing at a closed number, so that no file of somebody comes to lie
-/// there.
+/// Opens the null device at a closed number, so that no other file takes that number.
 fn open_nothing(fd: c_int) -> bool {
     // SAFETY: a constant text; the file is ours until it is at its number.
     unsafe {

@@ -1,8 +1,8 @@
-//! What a thread carries along that foreign code may change: signal mask and floating-point control word.
+//! Settings of a thread that foreign code may change: signal mask and floating-point control word.
 //!
 //! Only the calling thread is looked at and changed; the floating-point word costs no system call.
 
-/// What should be the same before and after foreign code ran on a thread.
+/// Settings that should be the same before and after foreign code ran on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hygiene {
     /// Blocked signals, bit 0 = signal 1.
@@ -11,7 +11,7 @@ pub struct Hygiene {
     pub rounding: u32,
 }
 
-/// How the calling thread stands. One system call.
+/// Returns the settings of the calling thread. One system call.
 pub fn thread_hygiene() -> Hygiene {
     Hygiene { sigmask: sigmask(), rounding: rounding() }
 }
@@ -44,7 +44,7 @@ pub fn set_sigmask(mask: u64) {
 #[cfg(target_arch = "x86_64")]
 const STATUS: u32 = 0x3f;
 
-/// The floating-point control word of the calling thread. No system call.
+/// Returns the floating-point control word of the calling thread. No system call.
 #[cfg(target_arch = "x86_64")]
 pub fn rounding() -> u32 {
     let mut word = 0u32;
@@ -61,7 +61,7 @@ pub fn reset_rounding(word: u32) {
     unsafe { std::arch::asm!("ldmxcsr [{}]", in(reg) &raw const word, options(nostack, preserves_flags)) };
 }
 
-/// The floating-point control word of the calling thread. No system call.
+/// Returns the floating-point control word of the calling thread. No system call.
 #[cfg(target_arch = "aarch64")]
 pub fn rounding() -> u32 {
     let word: u64;
@@ -79,13 +79,13 @@ pub fn reset_rounding(word: u32) {
     }
 }
 
-/// Not looked at on other processors: always 0.
+/// Always returns 0: the word is not looked at on other processors.
 #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
 pub fn rounding() -> u32 {
     0
 }
 
-/// Nothing to put back where [`rounding`] sees nothing.
+/// Does nothing where [`rounding`] sees nothing.
 #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
 pub fn reset_rounding(_word: u32) {}
 

@@ -1,8 +1,10 @@
-//! Frames of another process's pools, counted here like one's own and given back by a bit when the last handle goes.
+//! Frames of another process's pools, counted here like one's own and given back by a bit when the last
+//! handle goes.
 //!
-//! Invariant: an entry belongs to a lease; it is filled by whoever takes its count from 0 to 1, and its bit is set by whoever
-//! gives the last count back, after which the other process may lend it anew. Headers, by which components go, are copied once, so
-//! that they stay as they are; the bytes behind them lie where their process has them.
+//! Invariant: an entry belongs to a lease. The thread that takes its count from 0 to 1 fills it, and the one
+//! that gives the last count back sets its bit; after that the other process may lend it anew. Headers, by
+//! which components go, are copied once, so that they stay as they are; the bytes behind them lie where their
+//! process has them.
 
 use std::sync::Arc;
 
@@ -15,14 +17,14 @@ use crate::sync::{AtomicU32, AtomicU64, Ordering};
 pub(super) struct Borrowed {
     views: Arc<FarViews>,
     at: Box<[At]>,
-    /// By lease.
+    /// Headers by lease.
     headers: AlignedBuf,
     header_stride: usize,
     /// A bit for each lease that is done with.
     returned: Table<AtomicU64>,
 }
 
-/// Where the frame of a lease lies.
+/// Place of the frame of a lease.
 #[derive(Default)]
 struct At {
     view: AtomicU32,
@@ -45,18 +47,19 @@ impl Borrowed {
         self.views.header_bytes()
     }
 
-    /// Whether this place in this view can hold a frame that long.
+    /// Tells whether this place in this view can hold a frame that long.
     pub(super) fn fits(&self, view: u32, slot: u32, len: usize) -> bool {
         self.views.get(view).is_some_and(|file| slot < file.shape().slots && len <= file.shape().max_bytes)
     }
 
-    /// For the only holder of the lease.
+    /// Sets the place of a lease; for the only holder of the lease.
     pub(super) fn set(&self, lease: u32, view: u32, slot: u32) {
         let at = &self.at[lease as usize];
         at.view.store(view, Ordering::Relaxed);
         at.slot.store(slot, Ordering::Relaxed);
         let (file, slot) = self.find(lease);
-        // SAFETY: both have a header's length there, since the headers of all views are as long; the entry is this holder's.
+        // SAFETY: both have a header's length there, since the headers of all views are as long; the entry is
+        // this holder's.
         unsafe { copy(file.header_ptr(slot), self.header_ptr(lease), self.header_bytes()) };
     }
 
@@ -64,14 +67,14 @@ impl Borrowed {
         self.headers.at(lease as usize * self.header_stride)
     }
 
-    /// The memory and the slot of a lease that is held.
+    /// Returns the memory and the slot of a lease that is held.
     pub(super) fn find(&self, lease: u32) -> (&PoolFile, u32) {
         let at = &self.at[lease as usize];
         let view = self.views.get(at.view.load(Ordering::Relaxed));
         (view.expect("a view that was there stays"), at.slot.load(Ordering::Relaxed))
     }
 
-    /// The other process may lend it anew.
+    /// Gives the lease back: the other process may lend it anew.
     pub(super) fn give_back(&self, lease: u32) {
         if let Some(word) = self.returned.get(lease as usize / 64) {
             word.fetch_or(1 << (lease % 64), Ordering::Release);

@@ -1,4 +1,5 @@
-//! The memory of a pool and how its slots lie in it: of this process's own pool, or of another one's, for reading.
+//! The memory of a pool and the order of its slots in it: of this process's own pool, or of another one's,
+//! for reading.
 //!
 //! Invariant: lengths are kept here, never read from the memory; every slot lies inside.
 
@@ -11,7 +12,7 @@ use crate::buf::round_up;
 use crate::mapping::{Mapping, Writers};
 use crate::os::OsError;
 
-/// How the slots of a pool lie in its memory.
+/// Layout of the slots of a pool in its memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PoolShape {
     pub slots: u32,
@@ -25,7 +26,7 @@ pub struct PoolFile {
     memory: Mapping,
     shape: PoolShape,
     stride: usize,
-    /// Of this process, never used again.
+    /// Number in this process, never used again.
     number: u64,
 }
 
@@ -81,7 +82,7 @@ impl PoolFile {
         files().1.get(&number).and_then(Weak::upgrade)
     }
 
-    /// What other parts of this process call it.
+    /// Returns the number other parts of this process know it by.
     pub fn number(&self) -> u64 {
         self.number
     }
@@ -94,7 +95,7 @@ impl PoolFile {
         self.shape.header_bytes
     }
 
-    /// What another process is given to read it.
+    /// Returns the descriptor another process needs to read it.
     pub fn fd(&self) -> BorrowedFd<'_> {
         self.memory.fd()
     }

@@ -1,7 +1,8 @@
 //! A frame while it is written ([`FrameMut`]) and while it is read ([`Frame`]).
 //!
-//! The content of a slot is written only through its one `FrameMut`; a `Frame` only reads. A loan holds one count
-//! on its pool, made at `loan` and given back with the slot's last count, so cloning touches the slot alone.
+//! The content of a slot is written only through its one `FrameMut`; a `Frame` only reads. A loan holds one
+//! count on its pool, made at `loan` and given back with the slot's last count, so cloning touches the slot
+//! alone.
 
 use std::fmt;
 use std::mem::ManuallyDrop;
@@ -36,7 +37,7 @@ impl FrameMut {
         self.0.pool().bytes_ptr(self.0.slot)
     }
 
-    /// How many bytes fit after the header.
+    /// Returns the number of bytes that fit after the header.
     pub fn capacity(&self) -> usize {
         self.0.pool().max_bytes()
     }
@@ -63,20 +64,21 @@ impl FrameMut {
         Frame(self.0)
     }
 
-    /// Hands this handle out as a number; it must come back through [`FrameMut::from_raw`], or the slot is lost.
+    /// Hands this handle out as a number; it must come back through [`FrameMut::from_raw`], or the slot is
+    /// lost.
     pub fn into_raw(self) -> u64 {
         self.0.pool().slots.go_out(self.0.slot);
         self.0.into_raw() | WRITING
     }
 
-    /// Takes a handle back; `None` for 0, for a [`Frame`]'s number and for one whose handle has come back already,
-    /// on whatever thread and however often its slot was lent since: an old number is never good for a slot that
-    /// anybody else holds.
+    /// Takes a handle back; `None` for 0, for a [`Frame`]'s number and for one whose handle has come back
+    /// already, on whatever thread and however often its slot was lent since: an old number never fits a slot
+    /// that another holder has.
     ///
     /// # Safety
     /// 0, or a number that names a slot of a pool that is still alive: see [`FramePool::is_descriptor`].
     pub unsafe fn from_raw(raw: u64) -> Option<Self> {
-        // Even generations are never out, so this also keeps the numbers of slots away that nobody ever lent.
+        // Even generations are never out, so this also rejects the numbers of slots that were never lent.
         if raw & WRITING == 0 || raw >> 48 & 1 == 0 {
             return None;
         }
@@ -103,31 +105,34 @@ impl Frame {
         unsafe { std::slice::from_raw_parts(pool.bytes_ptr(self.0.slot), pool.slots.len(self.0.slot)) }
     }
 
-    /// Whether this is the only handle to its slot. A frame of another process never is: nobody here may write it.
+    /// Tells whether this is the only handle to its slot. A frame of another process never is: this process
+    /// may not write it.
     pub fn is_unique(&self) -> bool {
         let pool = self.0.pool();
         pool.file().is_some() && pool.slots.is_unique(self.0.slot)
     }
 
-    /// The number of the memory it lies in, see [`PoolFile::numbered`](super::PoolFile::numbered), and its slot there.
+    /// Returns the number of the memory it lies in, see [`PoolFile::numbered`](super::PoolFile::numbered),
+    /// and its slot there.
     pub fn location(&self) -> (u64, u32) {
         let (file, slot) = self.0.pool().find(self.0.slot);
         (file.number(), slot)
     }
 
-    /// Whether it can be held beyond its turn: its maker has slots left for one more that is shown, one that waits and one that is
-    /// filled. Of another process it is the only one here, for nobody here knows what is free there.
+    /// Tells whether it can be held beyond its turn: its maker has slots left for one more that is shown, one
+    /// that waits and one that is filled. A frame of another process must be the only one here, since the
+    /// free slots there are not known here.
     pub fn can_be_held(&self) -> bool {
         let pool = self.0.pool();
         if pool.file().is_some() { pool.slots.has_free(FREE_BESIDE_HELD) } else { pool.slots.lent() <= 1 }
     }
 
-    /// Whether at least `n` slots of its pool are free now.
+    /// Tells whether at least `n` slots of its pool are free now.
     pub fn pool_has_free(&self, n: u64) -> bool {
         self.0.pool().slots.has_free(n)
     }
 
-    /// The frame for writing in place, or itself when others read it too.
+    /// Returns the frame for writing in place, or itself when others read it too.
     pub fn try_unique(self) -> Result<FrameMut, Frame> {
         if !self.is_unique() {
             return Err(self);
@@ -141,8 +146,8 @@ impl Frame {
         self.0.into_raw()
     }
 
-    /// Takes a count back; `None` for 0, for a [`FrameMut`]'s number and for one of a frame that is gone (as long as the slot was not
-    /// lent, frozen or given back 65 536 times since).
+    /// Takes a count back; `None` for 0, for a [`FrameMut`]'s number and for one of a frame that is gone (as
+    /// long as the slot was not lent, frozen or given back 65 536 times since).
     ///
     /// # Safety
     /// 0, or from [`Frame::into_raw`] of a frame whose pool is still alive; and it comes back at most once,
@@ -185,7 +190,7 @@ impl Loan {
         loan.pool().slots.descriptor(loan.slot)
     }
 
-    /// The pool and the slot that a number names, where its generation is the slot's.
+    /// Returns the pool and the slot that a number names, where its generation is the slot's.
     ///
     /// # Safety
     /// 0, or a number that names a slot of a pool that is still alive, lent at least once.

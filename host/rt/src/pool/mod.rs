@@ -1,7 +1,7 @@
 //! Frame pools: fixed slots of header and bytes in a sealed memfd, lent, shared by count, and given back.
 //!
-//! A slot has either one [`FrameMut`] or any number of [`Frame`]s; each loan keeps its pool alive; giving back is
-//! two atomic operations on any thread and never a system call while the pool's owner still holds it.
+//! A slot has either one [`FrameMut`] or any number of [`Frame`]s; each loan keeps its pool alive; giving
+//! back is two atomic operations on any thread and never a system call while the pool's owner still holds it.
 
 mod borrowed;
 mod file;
@@ -28,7 +28,7 @@ pub struct FramePool {
     store: Store,
 }
 
-/// Where the frames lie.
+/// Place of the frames.
 enum Store {
     Own(Arc<PoolFile>),
     /// In pools of another process; a slot is a lease.
@@ -63,14 +63,14 @@ impl FramePool {
         PoolShape { slots, header_bytes, max_bytes }.size().map(|(_, total)| total)
     }
 
-    /// Room for frames of another process, one for each number under which it can lend one.
+    /// Makes room for frames of another process, one for each number under which it can lend one.
     pub(crate) fn borrowed(leases: u32, returned: Table<AtomicU64>, views: &Arc<FarViews>) -> Arc<Self> {
         let store = Store::Borrowed(Borrowed::new(leases, returned, views));
         Arc::new(Self { slots: Slots::new(leases), store })
     }
 
-    /// The frame the other process lent under this number; `None` when there cannot be such a frame, or when the number is
-    /// held here already.
+    /// Takes in the frame the other process lent under this number; `None` when there cannot be such a frame,
+    /// or when the number is held here already.
     pub(crate) fn admit(self: &Arc<Self>, lease: u32, view: u32, slot: u32, len: usize) -> Option<Frame> {
         let Store::Borrowed(borrowed) = &self.store else { return None };
         if !borrowed.fits(view, slot, len) || !self.slots.claim(lease) {
@@ -80,7 +80,7 @@ impl FramePool {
         Some(FrameMut::lend(Arc::clone(self), lease).freeze(len))
     }
 
-    /// The frame lent under this number is not wanted.
+    /// Gives back a frame lent under this number that is not wanted.
     pub(crate) fn decline(&self, lease: u32) {
         if let Store::Borrowed(borrowed) = &self.store {
             borrowed.give_back(lease);
@@ -124,13 +124,13 @@ impl FramePool {
         self.file().map_or(Ok(()), |file| file.lock())
     }
 
-    /// Whether the number of a [`FrameMut`] or [`Frame`] names a slot of this pool, whatever has become of it. Any number
-    /// may be asked for.
+    /// Tells whether the number of a [`FrameMut`] or [`Frame`] names a slot of this pool, whatever has become
+    /// of it. Any number may be asked for.
     pub fn is_descriptor(&self, raw: u64) -> bool {
         self.slots.has_entry(raw)
     }
 
-    /// The memory a slot lies in, and which of its slots that is.
+    /// Returns the memory a slot lies in, and which of its slots that is.
     #[inline]
     fn find(&self, slot: u32) -> (&PoolFile, u32) {
         match &self.store {
@@ -151,7 +151,7 @@ impl FramePool {
         file.bytes_ptr(slot)
     }
 
-    /// The last count on the slot was given back.
+    /// Handles the return of the last count on the slot.
     fn came_back(&self, slot: u32) {
         if let Store::Borrowed(borrowed) = &self.store {
             borrowed.give_back(slot);

@@ -1,7 +1,8 @@
-//! Which slots are free, who counts on the others, and which generation they are in.
+//! Free slots, the counts on the others, and the generation of each.
 //!
-//! A slot is free exactly while its bit is set; its count and generation are touched only by holders of a loan.
-//! Taking and giving back are wait-free: a look at each bit at most, and no word that could return to an old value.
+//! A slot is free exactly while its bit is set; its count and generation are touched only by holders of a
+//! loan. Taking and giving back are wait-free: a look at each bit at most, and no word that could return to
+//! an old value.
 
 use super::PoolStats;
 use crate::sync::{AtomicU32, AtomicU64, Ordering};
@@ -18,12 +19,12 @@ pub(super) struct Slots {
 #[repr(align(64))]
 struct Entry {
     count: AtomicU32,
-    /// Odd exactly while the one handle for writing is out as a number. +1 when it goes out and when it comes back, +2
-    /// when numbers of frames become stale otherwise: made unique, given back.
+    /// Odd exactly while the one handle for writing is out as a number. +1 when it goes out and when it comes
+    /// back, +2 when numbers of frames become stale otherwise: made unique, given back.
     generation: AtomicU32,
     /// Bytes in use after the header, set when frozen.
     len: AtomicU64,
-    /// Address of the pool, set when lent: how a descriptor finds its way back.
+    /// Address of the pool, set when lent: it leads a descriptor back.
     owner: AtomicU64,
 }
 
@@ -46,7 +47,7 @@ impl Slots {
         }
     }
 
-    /// A free slot with a count of one.
+    /// Takes a free slot with a count of one.
     pub(super) fn take(&self) -> Option<u32> {
         let Some(slot) = self.free.iter().zip(0..).find_map(|(word, at)| Self::take_bit(word, at)) else {
             self.exhausted.fetch_add(1, Ordering::Relaxed);
@@ -60,7 +61,7 @@ impl Slots {
         Some(slot)
     }
 
-    /// This very slot with a count of one; false when it is held, or does not exist.
+    /// Takes this very slot with a count of one; false when it is held, or does not exist.
     pub(super) fn claim(&self, slot: u32) -> bool {
         let Some(entry) = self.entries.get(slot as usize) else { return false };
         let claimed = entry.count.compare_exchange(0, 1, Ordering::Acquire, Ordering::Relaxed).is_ok();
@@ -83,12 +84,13 @@ impl Slots {
         None
     }
 
-    /// How many are lent now.
+    /// Returns the number of slots lent now.
     pub(super) fn lent(&self) -> u32 {
         self.lent.load(Ordering::Relaxed)
     }
 
-    /// Whether at least `n` slots could be taken now: by their bits, which is what a taker goes by, not by the counter.
+    /// Tells whether at least `n` slots could be taken now: by their bits, as a taker sees them, not by the
+    /// counter.
     pub(super) fn has_free(&self, n: u64) -> bool {
         let mut free = 0;
         self.free.iter().any(|word| {
@@ -101,7 +103,7 @@ impl Slots {
         self.entry(slot).count.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Gives one count back; with the last one the slot becomes free, and the answer is true.
+    /// Gives one count back; with the last one the slot becomes free. Returns whether that was so.
     pub(super) fn give_back(&self, slot: u32) -> bool {
         let before = self.entry(slot).count.fetch_sub(1, Ordering::AcqRel);
         if before != 1 {
@@ -113,7 +115,8 @@ impl Slots {
         true
     }
 
-    /// Whether the caller's count is the only one; then everything former holders did has happened before.
+    /// Tells whether the caller's count is the only one; then everything former holders did has happened
+    /// before.
     pub(super) fn is_unique(&self, slot: u32) -> bool {
         self.entry(slot).count.load(Ordering::Acquire) == 1
     }
@@ -122,8 +125,8 @@ impl Slots {
         self.entry(slot).owner.store(pool.expose_provenance() as u64, Ordering::Release);
     }
 
-    /// What a holder hands out for its count: address of the entry (48 bits, the low 6 of them 0) under the
-    /// low 16 bits of the generation. Never 0.
+    /// Returns what a holder hands out for its count: address of the entry (48 bits, the low 6 of them 0)
+    /// under the low 16 bits of the generation. Never 0.
     pub(super) fn descriptor(&self, slot: u32) -> u64 {
         let entry = self.entry(slot);
         let address = std::ptr::from_ref(entry).expose_provenance() as u64;
@@ -149,7 +152,7 @@ impl Slots {
         Some((pool, entry.cast()))
     }
 
-    /// Whether the descriptor's address is that of one of these entries; its lowest bit does not count.
+    /// Tells whether the descriptor's address is that of one of these entries; its lowest bit does not count.
     pub(super) fn has_entry(&self, descriptor: u64) -> bool {
         let address = (descriptor << 16 >> 16 & !1) as usize;
         let offset = address.wrapping_sub(self.entries.as_ptr().addr());
@@ -166,13 +169,13 @@ impl Slots {
         self.entry(slot).generation.fetch_add(2, Ordering::Release);
     }
 
-    /// For the only holder, who gives himself up for the descriptor that follows.
+    /// For the only holder, which gives up its handle for the descriptor that follows.
     pub(super) fn go_out(&self, slot: u32) {
         self.entry(slot).generation.fetch_add(1, Ordering::Release);
     }
 
-    /// Makes the bearer of this descriptor the only holder again; true for one of all that bear it. However old it is, it
-    /// fits nothing but a slot whose only holder is out, since only those have odd generations.
+    /// Makes the bearer of this descriptor the only holder again; true for one of all that bear it. However
+    /// old it is, it fits only a slot whose only holder is out, since only those have odd generations.
     pub(super) fn come_back(&self, slot: u32, descriptor: u64) -> bool {
         let generation = &self.entry(slot).generation;
         let now = generation.load(Ordering::Relaxed);

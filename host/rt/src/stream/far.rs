@@ -1,8 +1,8 @@
-//! What a link needs beside its places when its other end is in another process.
+//! Additions of a link whose other end is in another process.
 //!
-//! Frames stay in their owner's memory: the writer lends each one under a number and keeps it until the reader has set that
-//! number's bit, or is gone with all it held. Plain samples are copied once, so that they stay as they are. Invariant: nothing
-//! the other process writes is used before it was checked here.
+//! Frames stay in their owner's memory: the writer lends each one under a number and keeps it until the
+//! reader has set that number's bit, or is gone with all it held. Plain samples are copied once, so that they
+//! stay as they are. Invariant: nothing the other process writes is used before it was checked here.
 
 use std::sync::{Arc, OnceLock};
 
@@ -14,21 +14,22 @@ use crate::region::Layout;
 use crate::sync::{AtomicBool, AtomicU64, Ordering};
 use crate::wake::Waker;
 
-/// Frames a link can always have lent: the one that is looked at, and the newest. Beyond, it has two at most for each slot of their
-/// pool that is free, as a queue inside a process, so that a reader who gives none back stops nobody but itself.
+/// Frames a link can always have lent: the one that is looked at, and the newest. Beyond, it has two at most
+/// for each slot of their pool that is free, as a queue inside a process has, so that a reader that gives
+/// none back stops only itself.
 const ALWAYS: u64 = 3;
 /// Pools whose frames one link can carry in its life.
 pub const POOLS_PER_LINK: usize = 16;
 
-/// The pools whose frames this link carries, by their place on it. The writer gives a pool its place with its first frame; a
-/// manager tells the other end, which leaves the frame where it is until then.
+/// The pools whose frames this link carries, by their place on it. The writer gives a pool its place with its
+/// first frame; a manager tells the other end, which leaves the frame where it is until then.
 #[derive(Default)]
 pub struct FarPools {
     /// Numbers of pools by their place on the link; 0 = none.
     known: [AtomicU64; POOLS_PER_LINK],
-    /// Frames of one pool too many came, and were not sent: 1.
+    /// 1 when a frame came of one pool too many, and was not sent.
     overflowed: AtomicU64,
-    /// What is lent of this link; none of plain samples.
+    /// Frames lent by this link; none of plain samples.
     leases: OnceLock<Arc<Leases>>,
     writer_left: AtomicBool,
     /// Rung when a pool got its place.
@@ -41,7 +42,8 @@ impl FarPools {
         Arc::new(Self { bell: Some(bell), ..Self::default() })
     }
 
-    /// The place of the pool with this number: its own, or the next free one. For the writer, or before there is one.
+    /// The place of the pool with this number: its own, or the next free one. For the writer, or before there
+    /// is one.
     pub fn place_of(&self, number: u64) -> Option<u32> {
         for (place, known) in self.known.iter().enumerate() {
             match known.load(Ordering::Relaxed) {
@@ -66,34 +68,36 @@ impl FarPools {
         (number != 0).then_some(number)
     }
 
-    /// Whether the writer is gone and the reader has let go of every frame it had. Until then they stay as they are, unless this is
-    /// dropped.
+    /// Tells whether the writer is gone and the reader has let go of every frame it had. Until then the
+    /// frames stay as they are, unless this is dropped.
     pub fn are_back(&self) -> bool {
         self.collect();
         self.writer_left.load(Ordering::Acquire) && self.leases.get().is_none_or(|leases| leases.out() == 0)
     }
 
-    /// Takes back frames the reader has done with; each push does so too. Any thread; never waits, and no push is in its way.
+    /// Takes back frames the reader has done with; each push does so too. Any thread; never waits, and no
+    /// push is in its way.
     pub fn collect(&self) {
         if let Some(leases) = self.leases.get() {
             leases.collect();
         }
     }
 
-    /// As [`FarPools::collect`], of a link on which nothing was sent since the last call: for whoever looks now and then.
+    /// As [`FarPools::collect`], of a link on which nothing was sent since the last call: for a thread that
+    /// looks now and then.
     pub fn collect_if_idle(&self) {
         if let Some(leases) = self.leases.get() {
             leases.collect_if_idle();
         }
     }
 
-    /// Frames came for whose pool there is no place left: the link has to be made anew.
+    /// Tells whether frames came for whose pool there is no place left: the link has to be made anew.
     pub fn has_overflowed(&self) -> bool {
         self.overflowed.load(Ordering::Relaxed) != 0
     }
 }
 
-/// How the writer lends frames.
+/// State of the writer that lends frames.
 pub(super) struct Lending {
     leases: Arc<Leases>,
     /// The number to look at first.
@@ -106,7 +110,7 @@ pub(super) struct Lending {
 impl Lending {
     pub(super) fn lay_out(layout: &mut Layout, places: usize, pools: &Arc<FarPools>) -> Self {
         let leases = Arc::new(Leases::lay_out(layout));
-        // Not where only the length is asked for.
+        // Skipped while only the length is measured.
         if layout.region().is_some() {
             let _ = pools.leases.set(Arc::clone(&leases));
         }
@@ -117,7 +121,7 @@ impl Lending {
         &self.leases
     }
 
-    /// The writer goes; what was lent stays lent.
+    /// The writer goes; lent frames stay lent.
     pub(super) fn leave(&self) {
         self.pools.writer_left.store(true, Ordering::Release);
     }
@@ -136,12 +140,13 @@ impl Lending {
         Some(Located { lease, pool, slot: u64::from(slot), len })
     }
 
-    /// The frame was put into this place. What the reader took out of it before is lent on.
+    /// Notes the lease of a frame that was put into this place. A frame the reader took out of it before
+    /// stays lent.
     pub(super) fn put(&mut self, place: usize, lease: u32) {
         self.places[place] = Some(lease);
     }
 
-    /// A place comes back to the writer; nobody saw what was in it, or the reader has it.
+    /// Takes a place back for the writer; its sample was unseen, or the reader has it.
     pub(super) fn came_back(&mut self, place: usize, unseen: bool) {
         if let Some(lease) = self.places[place].take()
             && unseen
@@ -151,18 +156,18 @@ impl Lending {
     }
 }
 
-/// How samples of another process come to be here.
+/// Way by which samples of another process arrive.
 pub(super) enum Arriving {
     Plain(PrivateCopy),
     Frames(Arc<FramePool>, Arc<FarViews>),
 }
 
-/// What came of a look at a sample of another process.
+/// Result of a look at a sample of another process.
 pub(super) enum Admitted {
     Frame(Frame),
     /// Its pool is not mapped yet.
     Later,
-    /// It cannot be what it is said to be.
+    /// The sample cannot be what it is said to be.
     Never,
 }
 
@@ -175,7 +180,7 @@ impl Arriving {
         Arriving::Frames(FramePool::borrowed(LEASES as u32, returned(layout), views), Arc::clone(views))
     }
 
-    /// The frame of a sample, where what describes it can be true.
+    /// Returns the frame of a sample, where its description can be true.
     pub(super) fn admit(pool: &Arc<FramePool>, views: &FarViews, content: &Content) -> Admitted {
         let Located { lease, pool: view, slot, len } = content.frame;
         if views.is_awaited(view) {
@@ -193,7 +198,7 @@ pub(super) struct PrivateCopy {
 }
 
 impl PrivateCopy {
-    /// False for a sample that has not the link's size.
+    /// Copies a sample; returns false for one that has not the link's size.
     pub(super) fn take(&mut self, data: &[u8]) -> bool {
         if data.len() != self.bytes {
             return false;
@@ -208,7 +213,8 @@ impl PrivateCopy {
     }
 }
 
-/// The pools of another process, as the reader finds frames in them. A manager makes the entries; none is ever changed.
+/// The pools of another process, as the reader finds frames in them. A manager makes the entries; none is
+/// ever changed.
 pub struct FarViews {
     header_bytes: usize,
     views: [std::sync::OnceLock<Arc<PoolFile>>; POOLS_PER_LINK],
@@ -220,14 +226,14 @@ impl FarViews {
         Arc::new(Self { header_bytes, views: Default::default() })
     }
 
-    /// The other end's pool of this place. False for a place that is taken or does not exist, and for headers of another
-    /// length.
+    /// Adds the other end's pool of this place. Returns false for a place that is taken or does not exist,
+    /// and for headers of another length.
     pub fn know(&self, place: usize, file: Arc<PoolFile>) -> bool {
         let fits = file.header_bytes() == self.header_bytes;
         fits && self.views.get(place).is_some_and(|view| view.set(file).is_ok())
     }
 
-    /// The other end has not told of a pool of this place yet.
+    /// Tells whether the other end has not told of a pool of this place yet.
     fn is_awaited(&self, place: u32) -> bool {
         self.views.get(place as usize).is_some_and(|view| view.get().is_none())
     }

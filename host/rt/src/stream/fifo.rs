@@ -1,8 +1,8 @@
 //! A bounded queue of places between one writer and one reader, where the writer can drop the oldest.
 //!
-//! `head` only grows, and both ends move it by compare-and-swap: whoever moves it owns the place that stood
-//! there. Places the reader is done with go back to the writer through a second ring. The other end may be another process:
-//! whatever the words hold, what is taken out of a ring is one of the places.
+//! `head` only grows, and both ends move it by compare-and-swap: the end that moves it owns the place that
+//! stood there. Places the reader is done with go back to the writer through a second ring. The other end may
+//! be another process: whatever the words hold, a ring yields only one of the places.
 
 use super::DropPolicy;
 use crate::region::{Layout, Place, Table};
@@ -23,19 +23,20 @@ pub(super) struct Fifo {
     returned_tail: Place<Padded<AtomicU64>>,
 }
 
-/// What only the writer knows: its free places and its positions in both rings. Kept here rather than loaded
+/// State only the writer knows: its free places and its positions in both rings. Kept here rather than loaded
 /// back from the shared words, also because loom would take such a load for the last conflicting access.
 pub(super) struct Writing {
     free: Vec<u32>,
     tail: u64,
     returned_head: u64,
-    /// How far the reader was when last looked: it is there or further. Where that is room enough the writer looks no more, for a
-    /// line that the other processor has just written costs more than all the rest of a push.
+    /// Position of the reader at the last look: it is there or further. Where that is room enough the writer
+    /// looks no more, since a line that the other processor has just written costs more than all the rest of
+    /// a push.
     seen_head: u64,
     seen_returned_tail: u64,
 }
 
-/// What only the reader knows: its position in the ring of returned places.
+/// State only the reader knows: its position in the ring of returned places.
 #[derive(Default)]
 pub(super) struct Reading {
     returned_tail: u64,
@@ -54,7 +55,8 @@ fn at(ring: &[AtomicU32], position: u64) -> &AtomicU32 {
 }
 
 impl Writing {
-    /// A place is free. With a reader that plays with the words there may seem to be more of them than there are: no allocation.
+    /// Frees a place. With a reader that plays with the words there may seem to be more places than there
+    /// are: no allocation.
     pub(super) fn give_back(&mut self, place: usize) {
         if self.free.len() < self.free.capacity() {
             self.free.push(place as u32);
@@ -90,12 +92,12 @@ impl Fifo {
         }
     }
 
-    /// Writer: how many are queued. Until the writer pushes they only become fewer.
+    /// Writer: returns how many are queued. Until the writer pushes they only become fewer.
     pub(super) fn queued(&self, writing: &Writing) -> u64 {
         writing.tail.wrapping_sub(self.head.0.load(Ordering::Acquire))
     }
 
-    /// Writer: whether a push must drop something. Once false, it stays false until the writer pushes.
+    /// Writer: tells whether a push must drop something. Once false, it stays false until the writer pushes.
     #[inline]
     pub(super) fn is_full(&self, writing: &mut Writing) -> bool {
         let too_many = |head: u64| writing.tail.wrapping_sub(head) >= self.depth as u64;
@@ -106,8 +108,8 @@ impl Fifo {
         too_many(writing.seen_head)
     }
 
-    /// Writer: while one more would be too many, gives up the oldest place, which `emptied` gets; how many those were. With
-    /// each turn one leaves the queue, to whichever end, so there are at most `depth`.
+    /// Writer: while one more would be too many, gives up the oldest place, which `emptied` gets; returns how
+    /// many those were. With each turn one leaves the queue, to whichever end, so there are at most `depth`.
     pub(super) fn make_room(
         &self,
         writing: &mut Writing,
@@ -126,9 +128,9 @@ impl Fifo {
         given_up
     }
 
-    /// Writer: a free place to fill. Of depth + 3 places at most depth are queued and two at the reader, so
-    /// there always is one. What came back goes first: so only as many places are used as were ever queued at once, and those of a
-    /// queue that is much deeper than it is full stay in the cache.
+    /// Writer: takes a free place to fill. Of depth + 3 places at most depth are queued and two at the
+    /// reader, so there always is one. A returned place goes first: so only as many places are used as were
+    /// ever queued at once, and those of a queue that is much deeper than it is full stay in the cache.
     pub(super) fn free_place(&self, writing: &mut Writing) -> Option<usize> {
         let head = writing.returned_head;
         if writing.seen_returned_tail == head {
@@ -142,7 +144,7 @@ impl Fifo {
     }
 
     /// Writer: queues a filled place; where the queue is full, `emptied` gets the oldest place, which is free
-    /// afterwards. Whether that was so.
+    /// afterwards. Returns whether that was so.
     pub(super) fn push(&self, writing: &mut Writing, place: usize, emptied: impl FnOnce(usize)) -> bool {
         let dropped = self.is_full(writing) && self.give_up(writing, writing.seen_head, emptied);
         at(&self.ring, writing.tail).store(place as u32, Ordering::Relaxed);
@@ -151,12 +153,12 @@ impl Fifo {
         dropped
     }
 
-    /// Reader: how far the queue reaches now.
+    /// Reader: returns how far the queue reaches now.
     pub(super) fn end(&self) -> u64 {
         self.tail.0.load(Ordering::Acquire)
     }
 
-    /// Reader: the oldest place before position `end`.
+    /// Reader: takes the oldest place before position `end`.
     pub(super) fn pop(&self, end: u64) -> Option<usize> {
         for _ in 0..ATTEMPTS {
             let head = self.head.0.load(Ordering::Acquire);
@@ -177,8 +179,8 @@ impl Fifo {
         self.returned_tail.0.store(reading.returned_tail, Ordering::Release);
     }
 
-    /// Writer: takes the place at `head` out of the queue. A failure means that the reader took exactly this one, and so
-    /// made room.
+    /// Writer: takes the place at `head` out of the queue. A failure means that the reader took exactly this
+    /// one, and so made room.
     fn give_up(&self, writing: &mut Writing, head: u64, emptied: impl FnOnce(usize)) -> bool {
         let Some(oldest) = self.take(head) else { return false };
         emptied(oldest);
@@ -192,7 +194,8 @@ impl Fifo {
 
     fn take(&self, head: u64) -> Option<usize> {
         let place = self.place_in(at(&self.ring, head));
-        // Acquire also where the other end was faster: what it gave back before is seen then, see `free_place`.
+        // Acquire also where the other end was faster: this end sees then what it gave back before, see
+        // `free_place`.
         let moved =
             self.head.0.compare_exchange(head, head.wrapping_add(1), Ordering::AcqRel, Ordering::Acquire);
         moved.is_ok().then_some(place)
@@ -222,7 +225,7 @@ mod tests {
         assert_eq!(used.len(), 10);
     }
 
-    /// Each place the writer is told of twice would be a place more in its list, in memory taken during a step.
+    /// A place the writer is told of twice would be a place more in its list, in memory taken during a step.
     #[test]
     fn a_reader_that_plays_with_the_words_adds_no_place() {
         let fifo = Layout::on_heap(|layout| Fifo::lay_out(layout, 4, DropPolicy::DropOldest));

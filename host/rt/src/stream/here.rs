@@ -1,7 +1,8 @@
-//! Samples that do not leave their thread: two places of a latest link, exchanged without an atomic operation.
+//! Samples that do not leave their thread: two places of a latest link, exchanged without an atomic
+//! operation.
 //!
 //! Invariant: used only with the right to read the link, which the writer has by promise, see
-//! [`super::StreamWriter::push_here`]. Only `unseen` may be looked at by others, to count.
+//! [`super::StreamWriter::push_here`]. Others may look only at `unseen`, to count.
 
 use super::latest;
 use crate::sync::{AtomicBool, Ordering, Shared};
@@ -10,14 +11,15 @@ use crate::sync::{AtomicBool, Ordering, Shared};
 pub(super) const SLOTS: usize = 2;
 const FIRST: usize = latest::SLOTS;
 
-/// Which of the two places is whose.
+/// Roles of the two places.
 pub(super) struct Here {
     /// The place that may be shown; the other one is written.
     front: Shared<usize>,
     unseen: AtomicBool,
 }
 
-// SAFETY: `front` is touched with the right to read alone, which one thread has at a time and hands on in order.
+// SAFETY: `front` is touched with the right to read alone, which one thread has at a time and hands on in
+// order.
 unsafe impl Sync for Here {}
 
 impl Here {
@@ -25,7 +27,7 @@ impl Here {
         Self { front: Shared::new(FIRST), unseen: AtomicBool::new(false) }
     }
 
-    /// The place to write. What it held unseen is gone then.
+    /// Returns the place to write. An unseen sample in it is gone then.
     ///
     /// # Safety
     /// With the right to read.
@@ -35,7 +37,7 @@ impl Here {
         2 * FIRST + 1 - unsafe { *self.front.exclusive() }
     }
 
-    /// The back place was written; whether an unseen sample gave way.
+    /// Publishes the written back place; returns whether an unseen sample gave way.
     #[inline]
     pub(super) fn publish(&self) -> bool {
         let gave_way = self.has_unseen();
@@ -81,7 +83,8 @@ mod models {
         true
     }
 
-    /// One sample comes from a thread that has no right to read, one from a thread that has it; the right changes hands.
+    /// One sample comes from a thread that has no right to read, one from a thread that has it; the right
+    /// changes hands.
     #[test]
     fn loom_samples_of_the_reading_thread_and_of_another_are_whole_and_counted() {
         model_within(3, || {

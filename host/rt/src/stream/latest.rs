@@ -26,20 +26,22 @@ impl Latest {
         Self { middle: layout.place(|| AtomicU32::new(2)) }
     }
 
-    /// Gives the written place away for another one; whether that one held an unseen sample. Wait-free.
+    /// Gives the written place away for another one; returns whether that other one held an unseen sample.
+    /// Wait-free.
     #[inline]
     pub(super) fn publish(&self, written: usize) -> (usize, bool) {
         let got = self.middle.swap(written as u32 | UNSEEN, Ordering::AcqRel);
         (place_in(got), got & UNSEEN != 0)
     }
 
-    /// Gives an empty place away for the third one; whether that held an unseen sample. For a writer that goes.
+    /// Gives an empty place away for the third one; returns whether that held an unseen sample. For a writer
+    /// that goes.
     pub(super) fn take_back(&self, back: usize) -> (usize, bool) {
         let got = self.middle.swap(back as u32, Ordering::AcqRel);
         (place_in(got), got & UNSEEN != 0)
     }
 
-    /// Whether there is an unseen sample: once true for the reader, it stays true until it takes one.
+    /// Tells whether there is an unseen sample: once true for the reader, it stays true until it takes one.
     #[inline]
     pub(super) fn has_unseen(&self) -> bool {
         self.middle.load(Ordering::Relaxed) & UNSEEN != 0

@@ -1,8 +1,8 @@
 //! Frames lent to a reader in another process, by number.
 //!
-//! Invariant: a frame is in its lease exactly while that is LENT. Whoever moves it on to ENDING takes the frame out, and nobody else
-//! looks there; only the writer fills one that is FREE. So what the reader has done with is taken back by anybody, beside the writer,
-//! and costs no push.
+//! Invariant: a frame is in its lease exactly while that is LENT. The thread that moves it on to ENDING takes
+//! the frame out, and no other looks there; only the writer fills one that is FREE. So any thread may take
+//! back, beside the writer, frames the reader has done with, and that costs no push.
 
 use crate::pool::Frame;
 use crate::region::{Layout, Table};
@@ -27,9 +27,9 @@ struct Lease {
 
 pub(super) struct Leases {
     all: Box<[Lease]>,
-    /// How many are not FREE.
+    /// Number of leases that are not FREE.
     out: AtomicU64,
-    /// How many were ever lent, and how many of these `collect_if_idle` knows of.
+    /// Number of frames ever lent, and how many of these `collect_if_idle` knows of.
     lent: AtomicU64,
     known: AtomicU64,
     returned: Table<AtomicU64>,
@@ -52,7 +52,7 @@ impl Leases {
         }
     }
 
-    /// How many frames are lent.
+    /// Returns the number of frames lent.
     pub(super) fn out(&self) -> u64 {
         self.out.load(Ordering::Acquire)
     }
@@ -70,7 +70,7 @@ impl Leases {
         Some(number as u32)
     }
 
-    /// The frame comes back. A number that is not out, or comes twice, is nothing. Any thread; never waits.
+    /// Takes a frame back. A number that is not out, or comes twice, is ignored. Any thread; never waits.
     pub(super) fn end(&self, number: u32) {
         let Some(lease) = self.all.get(number as usize) else { return };
         if lease.state.compare_exchange(LENT, ENDING, Ordering::AcqRel, Ordering::Relaxed).is_err() {
@@ -84,8 +84,9 @@ impl Leases {
         self.out.fetch_sub(1, Ordering::Release);
     }
 
-    /// As [`Leases::collect`], where nothing was lent since this was called last. A writer that is at work takes back by itself; a
-    /// thread that is set aside in the middle of taking back would keep a slot from it.
+    /// As [`Leases::collect`], where nothing was lent since the last call of this. A writer that is at work
+    /// takes back by itself; a thread that is set aside in the middle of taking back would keep a slot from
+    /// it.
     pub(super) fn collect_if_idle(&self) {
         let lent = self.lent.load(Ordering::Relaxed);
         if self.known.swap(lent, Ordering::Relaxed) == lent {
@@ -93,7 +94,7 @@ impl Leases {
         }
     }
 
-    /// Takes back what the reader has done with. Any thread; never waits.
+    /// Takes back frames the reader has done with. Any thread; never waits.
     pub(super) fn collect(&self) {
         for at in 0..self.returned.len() {
             if self.returned[at].load(Ordering::Relaxed) == 0 {

@@ -1,8 +1,8 @@
 //! A link from one output to one input: the newest sample only, or a bounded queue; plain bytes or frames.
 //!
 //! The writer never waits for the reader, nor the reader for the writer. Every sample is taken or counted as
-//! dropped: with nothing queued, `pushed = taken + dropped`. A slot has one owner at any time: writer, queue or
-//! reader; its index moves between them by one atomic operation.
+//! dropped: with nothing queued, `pushed = taken + dropped`. A slot has one owner at any time: writer, queue
+//! or reader; its index moves between them by one atomic operation.
 
 mod far;
 mod fifo;
@@ -27,13 +27,13 @@ use here::Here;
 use latest::Latest;
 use slots::Slots;
 
-/// What the samples of a link are.
+/// Kind of the samples of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Payload {
     /// Up to this many bytes, copied in.
     Plain { bytes: usize },
-    /// Pooled frames, passed by handle. A link keeps up to 2 (latest) or depth + 1 (fifo) of them lent, a fifo fewer where its
-    /// pool would run out, see [`StreamWriter::push_frame`].
+    /// Pooled frames, passed by handle. A link keeps up to 2 (latest) or depth + 1 (fifo) of them lent, a
+    /// fifo fewer where its pool would run out, see [`StreamWriter::push_frame`].
     Frame,
 }
 
@@ -53,13 +53,13 @@ pub enum DropPolicy {
     DropNewest,
 }
 
-/// What travels beside every sample.
+/// Data that travels beside every sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct Meta {
     /// Ns of the monotonic clock.
     pub stamp_ns: u64,
-    /// When it was written, or its stamp where that is earlier: no sample is younger. Of the same clock, ns.
+    /// Time it was written, or its stamp where that is earlier: no sample is younger. Of the same clock, ns.
     pub came_ns: u64,
     /// The output's count of samples; a gap at the reader equals what this link dropped.
     pub seq: u64,
@@ -70,11 +70,11 @@ pub struct Meta {
 pub struct StreamStats {
     /// Offered by the writer.
     pub pushed: u64,
-    /// Seen by the reader for the first time.
+    /// Samples the reader has seen, each counted once.
     pub taken: u64,
     /// Offered and never to be seen.
     pub dropped: u64,
-    /// The part of them that a newer one took the place of, where only the newest is kept or looked at.
+    /// Part of the dropped ones whose place a newer one took, where only the newest is kept or looked at.
     pub skipped: u64,
 }
 
@@ -106,7 +106,8 @@ pub fn stream_link(payload: Payload, queue: Queue) -> (StreamWriter, StreamReade
     (StreamWriter::new(Arc::clone(&link), None), StreamReader::new(link, None))
 }
 
-/// The output's end of a link whose other end is in another process; the parts are what [`far_reader`] lays out.
+/// Makes the output's end of a link whose other end is in another process; the parts are what [`far_reader`]
+/// lays out.
 pub fn far_writer(
     layout: &mut Layout,
     payload: Payload,
@@ -133,12 +134,12 @@ pub fn far_reader(
     StreamReader::new(Arc::new(link), Some(arriving))
 }
 
-/// What both ends share.
+/// State both ends share.
 struct Link {
     payload: Payload,
     slots: Slots,
     order: Order,
-    /// Of a latest link.
+    /// Places of a latest link whose samples stay on their thread.
     here: Here,
     /// Which ends are gone, a word each.
     reader_left: Place<AtomicU32>,
@@ -152,7 +153,7 @@ enum Order {
 }
 
 impl Link {
-    /// With counters of its own, where nobody else has made them.
+    /// Lays the link out, with counters of its own where none are given.
     fn lay_out(
         layout: &mut Layout,
         payload: Payload,
@@ -200,9 +201,9 @@ struct Counters {
 struct WriterCounts {
     pushed: AtomicU64,
     dropped: AtomicU64,
-    /// Pushed by whoever could not come in, and dropped.
+    /// Pushed by a thread that could not come in, and dropped.
     turned_away: AtomicU64,
-    /// Unseen when the next one came, where the newest alone is kept.
+    /// Unseen when the next one came, where only the newest is kept.
     passed_over: AtomicU64,
 }
 
@@ -232,17 +233,17 @@ impl Counters {
     }
 }
 
-/// Another process may have written anything there.
+/// Sums counts of memory where another process may have written anything.
 fn sum<const N: usize>(counts: [u64; N]) -> u64 {
     told(counts.into_iter().fold(0, u64::wrapping_add))
 }
 
-/// Counts where several may count at the same moment.
+/// Counts where several threads may count at the same moment.
 fn count(counter: &AtomicU64, n: u64) {
     counter.fetch_add(n, Ordering::Relaxed);
 }
 
-/// Counts where only one end, or whoever is inside it, ever counts.
+/// Counts where only one end, or the thread inside it, ever counts.
 #[inline]
 fn tally(counter: &AtomicU64, n: u64) {
     counter.store(counter.load(Ordering::Relaxed).wrapping_add(n), Ordering::Relaxed);

@@ -1,7 +1,7 @@
 //! The input's end of a link.
 //!
-//! The reader owns the place of the sample it looks at, so the sample stays as it is until the reader goes on,
-//! whatever the writer does.
+//! The reader owns the place of the sample it looks at, so the sample stays as it is until the reader goes
+//! on, whatever the writer does.
 
 use std::sync::Arc;
 
@@ -28,7 +28,8 @@ pub struct StreamReader {
     link: Arc<Link>,
     /// The place of the sample last seen.
     place: Option<usize>,
-    /// The place the reader of a latest link has to exchange; `place` too, unless that sample never left its thread.
+    /// Place the reader of a latest link has to exchange; `place` too, unless that sample never left its
+    /// thread.
     own: usize,
     /// Whether there is a sample in it.
     holds: bool,
@@ -37,7 +38,7 @@ pub struct StreamReader {
     reading: fifo::Reading,
     /// With a writer in another process.
     arriving: Option<Arriving>,
-    /// What came with the sample of another process, which cannot change it any more.
+    /// Meta of the sample of another process, which cannot change it any more.
     came: Meta,
     /// Samples of another process that could not be what they were said to be.
     corrupt: u64,
@@ -95,8 +96,9 @@ impl StreamReader {
         self.holds = false;
     }
 
-    /// Gives back all that is here, the sample last seen as well, and takes nothing more: as dropping it does, for an end that
-    /// may be dropped only later. Again: gives back what the writer put there meanwhile.
+    /// Gives back all that is here, the sample last seen as well, and takes nothing more: as dropping it
+    /// does, for an end that may be dropped only later. Another call gives back what the writer put there
+    /// meanwhile.
     pub fn close(&mut self) {
         let again = self.link.reader_left.swap(1, Ordering::AcqRel) != 0;
         // Frames still here go back to their pool now, not when the writer happens to go. Bounded: once the
@@ -143,7 +145,7 @@ impl StreamReader {
         frame
     }
 
-    /// Whether the writing end still exists. Without it nothing new will come.
+    /// Tells whether the writing end still exists. Without it nothing new will come.
     pub fn has_writer(&self) -> bool {
         self.link.writer_left.load(Ordering::Acquire) == 0
     }
@@ -152,17 +154,17 @@ impl StreamReader {
         self.counters().stats()
     }
 
-    /// The link's counters, for whoever shows them.
+    /// Returns the link's counters, to be shown.
     pub fn counters(&self) -> StreamCounters {
         StreamCounters(Arc::clone(&self.link.counters))
     }
 
-    /// Moves on to the next sample or to the newest one; whether there was one.
+    /// Moves on to the next sample or to the newest one; returns whether there was one.
     #[inline(always)]
     fn advance(&mut self, newest: bool) -> bool {
         let here = &self.link.here;
         match &self.link.order {
-            // Within a cycle, where a call more is an eighth of a hop.
+            // Short cut within a cycle, where one more call is an eighth of a hop.
             Order::Latest(latest) if self.arriving.is_none() && !latest.has_unseen() => {
                 if !here.has_unseen() {
                     return false;
@@ -177,10 +179,10 @@ impl StreamReader {
         }
     }
 
-    /// The same, wherever the sample comes from.
+    /// The same, for a sample from any thread or process.
     #[inline(never)]
     fn advance_any(&mut self, newest: bool) -> bool {
-        // What waits stays the next one of a queue; of a latest link a newer one takes its place.
+        // A waiting sample stays the next one of a queue; in a latest link a newer one takes its place.
         let newer = || matches!(&self.link.order, Order::Latest(latest) if latest.has_unseen());
         if self.awaits && !newer() {
             return self.arrive();
@@ -225,7 +227,7 @@ impl StreamReader {
                 };
                 // The place seen before goes back first: the writer counts on it (see `Fifo::free_place`).
                 self.place.take().into_iter().for_each(&mut give_back);
-                // No longer than there can be places, whatever another process says of the queue's end.
+                // Bounded by the number of places, whatever another process says of the queue's end.
                 for _ in 0..if newest { fifo.slots() } else { 0 } {
                     let Some(newer) = fifo.pop(end) else { break };
                     skip(&self.arriving, slots, place);
@@ -244,7 +246,8 @@ impl StreamReader {
         true
     }
 
-    /// Takes what another process has written into the place taken over; whether there is a sample now.
+    /// Takes in the data another process has written into the place taken over; returns whether there is a
+    /// sample now.
     fn arrive(&mut self) -> bool {
         let (Some(place), Some(arriving)) = (self.place, &mut self.arriving) else { return false };
         let slots = &self.link.slots;
@@ -310,7 +313,7 @@ impl StreamReader {
     }
 }
 
-/// A sample that nobody will see goes back where it came from.
+/// Gives a sample that will not be seen back to its source.
 fn skip(arriving: &Option<Arriving>, slots: &Slots, place: usize) {
     if let Some(Arriving::Frames(pool, _)) = arriving {
         // SAFETY: the reader owns the place.

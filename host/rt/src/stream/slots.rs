@@ -1,7 +1,7 @@
 //! The places samples lie in. A place is touched only by the end, or the queue, that owns its index.
 //!
-//! What describes a sample may lie where another process writes; the frames themselves are held by the end that owns the place,
-//! in its own process.
+//! The description of a sample may lie where another process writes; the end that owns the place holds the
+//! frame itself, in its own process.
 
 use super::Meta;
 use crate::buf::{copy, round_up};
@@ -9,14 +9,14 @@ use crate::pool::Frame;
 use crate::region::{AnyBits, Bytes, Layout, Table};
 use crate::sync::Shared;
 
-/// What describes the sample in a place.
+/// Description of the sample in a place.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 pub(super) struct Content {
     pub(super) meta: Meta,
     /// Bytes in use of a plain sample.
     pub(super) len: u64,
-    /// Where the frame lies, for an end that has to find it in another process.
+    /// Place of the frame, for an end that has to find it in another process.
     pub(super) frame: Located,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Content {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub(super) struct Located {
-    /// Under which number it was lent.
+    /// Number under which it was lent.
     pub(super) lease: u32,
     /// Number of its pool on this link, and its slot in it.
     pub(super) pool: u32,
@@ -40,7 +40,7 @@ pub(super) struct Slots {
     contents: Table<Shared<Content>>,
     plain: Bytes,
     stride: usize,
-    /// Of links of frames: the frame in each place.
+    /// Frame in each place, of links of frames.
     frames: Box<[Shared<Option<Frame>>]>,
 }
 
@@ -78,7 +78,8 @@ impl Slots {
     /// As [`Slots::write`]: `head`, then `body`, then zeros up to `bytes`.
     ///
     /// # Safety
-    /// The caller owns the place; both together are no longer than `bytes`, and that no longer than the link's samples.
+    /// The caller owns the place; both together are no longer than `bytes`, and that no longer than the
+    /// link's samples.
     #[inline]
     pub(super) unsafe fn write_parts(
         &self,

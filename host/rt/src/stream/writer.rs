@@ -1,7 +1,8 @@
 //! The output's end of a link.
 //!
-//! One producer at a time is inside; a second one at the same moment is turned away and counted as a drop. Frames that
-//! wait in a queue leave slots of their pool free, so that the one who makes frames never waits for who does not take them.
+//! One producer at a time is inside; a second one at the same moment is turned away and counted as a drop.
+//! Frames that wait in a queue leave slots of their pool free, so that a maker of frames never waits for a
+//! reader that does not take them.
 
 use std::sync::Arc;
 
@@ -16,13 +17,14 @@ use crate::exclusive::{TryCell, TryGuard};
 use crate::pool::Frame;
 use crate::sync::Ordering;
 
-/// What became of a push. All but `Queued` and `DroppedOldest` mean that this sample will not be seen.
+/// Result of a push. All but `Queued` and `DroppedOldest` mean that this sample will not be seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pushed {
     Queued,
     /// Queued, and an older unseen sample gave way.
     DroppedOldest,
-    /// The queue is full and keeps the old ones, too few slots of the frame's pool are free, or another thread was just pushing.
+    /// The queue is full and keeps the old ones, too few slots of the frame's pool are free, or another
+    /// thread was just pushing.
     DroppedNewest,
     /// Plain bytes to a link of frames, a frame to a link of bytes, or more bytes than a sample has.
     WrongPayload,
@@ -30,7 +32,8 @@ pub enum Pushed {
     NoReader,
 }
 
-/// How often a push of [`StreamWriter::push_parts`] looks again, each time for some nanoseconds: a push takes tens of them.
+/// Number of times a push of [`StreamWriter::push_parts`] looks again, each time for some nanoseconds: a push
+/// takes tens of them.
 const LOOKS: u32 = 64;
 
 /// The places the writer owns.
@@ -39,10 +42,10 @@ enum Owned {
     Fifo(fifo::Writing),
 }
 
-/// What only whoever pushes touches.
+/// State only the pushing thread touches.
 struct End {
     owned: Owned,
-    /// Of a link of frames to another process.
+    /// Frames lent on a link to another process.
     lending: Option<Lending>,
 }
 
@@ -50,7 +53,7 @@ struct End {
 pub struct StreamWriter {
     link: Arc<Link>,
     end: TryCell<End>,
-    /// What `end` has lent.
+    /// Leases of `end`.
     leases: Option<Arc<Leases>>,
 }
 
@@ -71,8 +74,8 @@ impl StreamWriter {
         self.offer(fits, Plain { data, meta })
     }
 
-    /// Offers a sample in three parts: `head`, `body`, and zeros up to `bytes`. From several threads: where another one is just
-    /// pushing, this looks again a few times before it counts a drop. Never waits longer.
+    /// Offers a sample in three parts: `head`, `body`, and zeros up to `bytes`. From several threads: where
+    /// another one is just pushing, this looks again a few times before it counts a drop. Never waits longer.
     #[inline]
     pub fn push_parts(&self, head: &[u8], body: &[u8], bytes: usize, meta: Meta) -> Pushed {
         let filled = head.len().checked_add(body.len()).is_some_and(|n| n <= bytes);
@@ -80,13 +83,13 @@ impl StreamWriter {
         self.offer_again(fits, Parts { head, body, bytes, meta }, LOOKS)
     }
 
-    /// As [`StreamWriter::push`], for a sample that does not leave its thread: a latest link of plain bytes takes it without an
-    /// atomic operation.
+    /// As [`StreamWriter::push`], for a sample that does not leave its thread: a latest link of plain bytes
+    /// takes it without an atomic operation.
     ///
     /// # Safety
-    /// The calling thread has the right to read the link now, as if it held its reader: while this runs no other thread is in
-    /// any method of the reader that takes `&mut self`, and one that is there later comes after it. (The drop of the reader
-    /// may run meanwhile.)
+    /// The calling thread has the right to read the link now, as if it held its reader: while this runs no
+    /// other thread is in any method of the reader that takes `&mut self`, and one that is there later comes
+    /// after it. (The drop of the reader may run meanwhile.)
     #[inline]
     pub unsafe fn push_here(&self, data: &[u8], meta: Meta) -> Pushed {
         let fits = matches!(self.link.payload, Payload::Plain { bytes } if data.len() <= bytes);
@@ -105,15 +108,15 @@ impl StreamWriter {
         Pushed::Queued
     }
 
-    /// Offers a frame: its handle is passed on, or dropped. Never waits. A queue that drops its oldest keeps at most two frames
-    /// for each free slot of this frame's pool, and gives up older ones until that is so (counted as dropped) or this one is
-    /// alone; one that drops the newest cannot take back what it keeps, so that it takes a second one and more only while
-    /// there is a free slot for each.
+    /// Offers a frame: its handle is passed on, or dropped. Never waits. A queue that drops its oldest keeps
+    /// at most two frames for each free slot of this frame's pool, and gives up older ones until that is so
+    /// (counted as dropped) or this one is alone; one that drops the newest cannot take back what it keeps,
+    /// so that it takes a second one and more only while there is a free slot for each.
     pub fn push_frame(&self, frame: Frame, meta: Meta) -> Pushed {
         self.offer(self.link.payload == Payload::Frame, Lent { frame, meta })
     }
 
-    /// Whether the reading end still exists.
+    /// Tells whether the reading end still exists.
     #[inline]
     pub fn has_reader(&self) -> bool {
         self.link.reader_left.load(Ordering::Relaxed) == 0
@@ -123,7 +126,7 @@ impl StreamWriter {
         self.counters().stats()
     }
 
-    /// The link's counters, for whoever shows them.
+    /// Returns the link's counters, to be shown.
     pub fn counters(&self) -> StreamCounters {
         StreamCounters(Arc::clone(&self.link.counters))
     }
@@ -198,7 +201,7 @@ impl StreamWriter {
                     return Pushed::DroppedNewest;
                 };
                 if given_up > 1 {
-                    // One of them is counted by who learns of the drop.
+                    // The caller that learns of the drop counts one of them.
                     tally(&self.link.counters.writer.0.dropped, given_up - 1);
                 }
                 let Some(place) = fifo.free_place(writing) else { return Pushed::DroppedNewest };
@@ -216,8 +219,8 @@ impl StreamWriter {
 }
 
 impl StreamWriter {
-    /// Takes back frames the reader in another process has done with; each push does so too. Any thread; never waits, and no push is
-    /// in its way.
+    /// Takes back frames the reader in another process has done with; each push does so too. Any thread;
+    /// never waits, and no push is in its way.
     pub fn collect(&self) {
         if let Some(leases) = &self.leases {
             leases.collect();
@@ -228,11 +231,12 @@ impl StreamWriter {
 impl Drop for StreamWriter {
     fn drop(&mut self) {
         self.link.writer_left.store(1, Ordering::Release);
-        // Nobody else can be inside: `&mut self`.
+        // No other thread can be inside: `&mut self`.
         let Some(mut end) = self.end.try_enter() else { return };
         let End { owned, lending } = &mut *end;
         let Some(mut lending) = lending.take() else { return };
-        // What nobody has seen comes back now: a reader that left while it was put there would never give it back.
+        // Unseen frames come back now: a reader that left while they were put there would never give them
+        // back.
         let taken_back = match (&self.link.order, owned) {
             (Order::Latest(latest), Owned::Latest { back }) => {
                 let (got, unseen) = latest.take_back(*back);
@@ -250,19 +254,20 @@ impl Drop for StreamWriter {
     }
 }
 
-/// What a push brings.
+/// A sample to be pushed.
 trait Offered {
-    /// Has the queue give up what this sample needs; how many those were, or `None` where it may not be queued.
+    /// Has the queue give up what this sample needs; returns how many samples those were, or `None` where it
+    /// may not be queued.
     fn make_room(&self, fifo: &Fifo, writing: &mut Writing, emptied: impl FnMut(usize)) -> Option<u64>;
 
-    /// False where it cannot be lent to the process at the other end.
+    /// Fills the place; returns false where the sample cannot be lent to the process at the other end.
     ///
     /// # Safety
     /// The writer owns the place and has no other reference to it; the sample is one of this link.
     unsafe fn fill(self, slots: &Slots, place: usize, lending: &mut Option<Lending>) -> bool;
 }
 
-/// The writer has taken a place over that nobody has read.
+/// Empties a place the writer has taken over and that was not read.
 fn empty(slots: &Slots, lending: &mut Option<Lending>, place: usize) {
     // SAFETY: the place was just taken over by the writer.
     unsafe { slots.empty(place) };

@@ -1,4 +1,4 @@
-//! What an executor's cycles were like: period, computing time, lateness, and how many there were.
+//! Figures of an executor's cycles: period, computing time, lateness, and their number.
 //!
 //! One thread records, any thread takes snapshots; a snapshot is of one moment (the rows of [`crate::seq`]).
 
@@ -134,7 +134,7 @@ impl CycleStats {
         }
     }
 
-    /// Forgets everything, so that the figures are those since now, judged by `period_ns` from now on. Same thread as
+    /// Forgets everything, so that the figures count from now on, judged by `period_ns`. Same thread as
     /// [`CycleStats::record`], between two cycles; a snapshot taken meanwhile may show part of both.
     pub fn reset(&self, period_ns: u64) {
         self.period_ns.store(period_ns, Ordering::Relaxed);
@@ -147,7 +147,7 @@ impl CycleStats {
         self.update(|t| t.last_start_ns = None);
     }
 
-    /// The statistics now. Any thread; never disturbs the executor.
+    /// Returns the statistics now. Any thread; never disturbs the executor.
     pub fn snapshot(&self) -> CycleSnapshot {
         let w = self.words();
         let period = Sums::from_words(&w);

@@ -1,13 +1,14 @@
 //! The grid of absolute deadlines of a periodic executor.
 //!
-//! Deadline `k` is `base + phase + k * period`, computed from `k` each time, so it never drifts; and every period
-//! is either executed or counted as skipped. A new phase moves the deadlines and not the numbers, so that no
-//! cycle is left out for it or run twice.
+//! Deadline `k` is `base + phase + k * period`, computed from `k` each time, so it never drifts; and every
+//! period is either executed or counted as skipped. A new phase moves the deadlines and not the numbers, so
+//! that no cycle is left out for it or run twice.
 
-/// The phase moves in each cycle by this part of a period at most, so that two steps keep nearly their distance.
+/// The phase moves in each cycle by this part of a period at most, so that two steps keep nearly their
+/// distance.
 const SLEW: u64 = 16;
 
-/// Where a periodic executor stands on its grid.
+/// Position of a periodic executor on its grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     base_ns: u64,
@@ -50,9 +51,9 @@ impl Grid {
         Self { base_ns: first - phase_ns, phase_ns, aim_ns: phase_ns, period_ns, at: 0 }
     }
 
-    /// From now on the deadlines move to this phase, taken modulo the period, by a sixteenth of a period in each
-    /// cycle. Cycle `k` stays within its own period of the clock, so executed + skipped = elapsed periods all the
-    /// way. For grids made by [`Grid::on_clock`].
+    /// Moves the deadlines to this phase, taken modulo the period, from now on by a sixteenth of a period in
+    /// each cycle. Cycle `k` stays within its own period of the clock, so executed + skipped = elapsed
+    /// periods all the way. For grids made by [`Grid::on_clock`].
     pub fn move_to(&mut self, phase_ns: u64) {
         self.aim_ns = phase_ns % self.period_ns;
     }
@@ -86,8 +87,8 @@ impl Grid {
         self.period_ns
     }
 
-    /// The cycle to run at `now_ns`, or `None` before the next deadline. Cycles whose whole period is over are
-    /// missed: the last `catch_up` of them are still run, one with each call, those before are skipped. A
+    /// The cycle to run at `now_ns`, or `None` before the next deadline. Cycles whose whole period is over
+    /// are missed: the last `catch_up` of them are still run, one with each call, those before are skipped. A
     /// cycle that is due but whose period still runs is never skipped.
     pub fn begin(&mut self, now_ns: u64, catch_up: u64) -> Option<Due> {
         let newest = now_ns.checked_sub(self.origin())? / self.period_ns;

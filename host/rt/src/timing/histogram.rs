@@ -82,7 +82,7 @@ impl Histogram {
         self.max_ns.load(Ordering::Relaxed)
     }
 
-    /// How many durations were counted.
+    /// Returns the number of durations counted.
     pub fn count(&self) -> u64 {
         self.buckets.iter().map(|b| b.load(Ordering::Relaxed)).sum()
     }

@@ -1,4 +1,4 @@
-//! Time of periodic work: the grid of deadlines and the statistics of what really happened.
+//! Time of periodic work: the grid of deadlines and the statistics of the real cycles.
 
 mod cycle;
 mod grid;

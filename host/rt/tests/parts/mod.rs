@@ -1,4 +1,5 @@
-//! What the tests of links between processes lay out: a mailbox with its replies and bell, a stream of samples and one of frames.
+//! Parts that the tests of links between processes lay out: a mailbox with its replies and bell, a stream of
+//! samples and one of frames.
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
-//! What Describe answers: ports, members, types and classes, wire → shown.
+//! Answers of Describe: ports, members, types and classes, wire → shown.
 //!
-//! Invariant: as the rest of `convert`, it decides nothing and leaves nothing out that a person asks for.
+//! Invariant: as the rest of `convert`, it decides nothing and leaves out nothing that a person asks for.
 
 use serde_json::Value;
 use trocar_proto::v1;

@@ -114,7 +114,7 @@ fn options(o: &ConnectOptions) -> v1::ConnectOptions {
     }
 }
 
-/// How a process stands, for the GCM.
+/// Converts the status of a process for the GCM.
 pub(in crate::cli) fn fate(told: &Told) -> v1::ProcessFate {
     let fate = match told.fate {
         Fate::Running => v1::Fate::Running,
@@ -132,7 +132,7 @@ pub(in crate::cli) fn fate(told: &Told) -> v1::ProcessFate {
     }
 }
 
-/// What a supervisor says of itself.
+/// Converts what a supervisor reports about itself.
 pub(in crate::cli) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
     let apart = |a: &Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseRequest {
@@ -142,7 +142,7 @@ pub(in crate::cli) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
     }
 }
 
-/// What a GCM wants of it, and which GCM that is.
+/// Reads what a GCM wants of its supervisor, with the term of that GCM.
 pub(in crate::cli) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
     let one = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })

@@ -1,7 +1,7 @@
-//! Does in a running demo what a surgeon would: sets it up, makes scans, and has pictures written.
+//! Does in a running demo what a surgeon would do: sets the system up, makes scans, and has pictures written.
 //!
-//! Invariant: everything is an ordinary call that anybody could make; one that is refused is made again, since a process may be on
-//! its way back.
+//! Invariant: every action is an ordinary call that any client could make. A refused call is made again,
+//! since a process may be on its way back.
 
 use std::convert::Infallible;
 use std::fs;
@@ -18,27 +18,27 @@ use crate::cli::failure::Failure;
 use crate::cli::out;
 use crate::cli::session::Session;
 
-/// How long one call may take, ns.
+/// Deadline of one call, ns.
 const DEADLINE_NS: u64 = 2_000_000_000;
-/// Of a picture: encoding and a file system, ns.
+/// Deadline of a call that writes a picture, with encoding and file system, ns.
 const PICTURE_NS: u64 = 12_000_000_000;
-/// Until what was refused is asked again.
+/// Pause before a refused call is made again.
 const AGAIN: Duration = Duration::from_millis(200);
-/// What is refused for so long is told.
+/// A call that is refused for longer than this is reported.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// From one look at a scan to the next.
+/// Pause between two looks at a scan.
 const LOOK: Duration = Duration::from_millis(50);
-/// From the end of a scan to the next one.
+/// Pause between the end of a scan and the next one.
 const BETWEEN: Duration = Duration::from_secs(1);
 /// A behaviour without a scan has been seen after this long.
 const SEEN: Duration = Duration::from_secs(7);
-/// What `progress` says while there is no scan, and while the tip is on its way to the line.
+/// Phases that `progress` reports while there is no scan, and while the tip is on its way to the line.
 const IDLE: &str = "IDLE";
 const APPROACH: &str = "APPROACH";
-/// And while it goes along it.
+/// Phase while the tip moves along the line.
 const SCAN: &str = "SCAN";
 
-/// A scan that came to its end, against what is really so.
+/// A scan that came to its end, compared with the ground truth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Scanned {
     /// Scans that came to their end.
@@ -46,7 +46,7 @@ pub(super) struct Scanned {
     columns: u64,
     /// Looks at the truth while the last one ran.
     looks: usize,
-    /// How far the tip was from where it should have been.
+    /// Distance of the tip from where it should have been.
     deviation_rms_um: f64,
     deviation_max_um: f64,
 }
@@ -71,12 +71,12 @@ impl Scanned {
     }
 }
 
-/// One who acts.
+/// The surgeon's part in a running demo.
 pub(super) struct Acting<'a> {
     session: &'a Session,
     behavior: Behavior,
     layout: Layout,
-    /// How often the behaviour was seen to its end, and the last scan.
+    /// Number of times the behaviour was seen to its end, and the last scan.
     done: watch::Sender<(u64, Option<Scanned>)>,
 }
 
@@ -90,7 +90,7 @@ impl<'a> Acting<'a> {
         self.done.borrow().1
     }
 
-    /// For ever.
+    /// Acts for ever.
     pub(super) async fn keep(&self) -> Infallible {
         for ask in self.behavior.begin(self.layout) {
             self.insist(&ask).await;
@@ -111,11 +111,11 @@ impl<'a> Acting<'a> {
             }
             tokio::time::sleep(BETWEEN).await;
         }
-        // Nobody comes to the end of a circle.
+        // This circle has no end.
         std::future::pending().await
     }
 
-    /// Asks until it is granted.
+    /// Repeats a call until it is granted.
     async fn insist(&self, ask: &Ask) {
         let (begun, mut told) = (tokio::time::Instant::now(), false);
         while let Err(failure) = self.call(&ask.path, Some(&ask.arg), DEADLINE_NS).await {
@@ -126,7 +126,7 @@ impl<'a> Acting<'a> {
         }
     }
 
-    /// Looks at a scan until the tip is at the end of the line; none where it does not come there.
+    /// Watches a scan until the tip is at the end of the line; `None` where the tip does not get there.
     async fn scan(&self, scanning: &Scanning) -> Option<Scanned> {
         let mut deviations_um = Vec::new();
         loop {
@@ -150,7 +150,7 @@ impl<'a> Acting<'a> {
     /// Has all pictures written once the behaviour was seen to its end.
     pub(super) async fn write(&self, dir: &Path) -> Result<Vec<PathBuf>, Failure> {
         let mut done = self.done.subscribe();
-        // The sender is this very one.
+        // `self` holds the sender.
         let _ = done.wait_for(|(times, _)| *times > 0).await;
         let mut written = Vec::new();
         for Picture { save, name } in self.behavior.pictures(self.layout) {

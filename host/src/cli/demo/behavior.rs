@@ -1,14 +1,14 @@
-//! What the demo shows: for each behaviour a system file, and what the running system is asked for.
+//! Behaviours of the demo: for each one a system file, and the calls to the running system.
 //!
-//! Invariant: a behaviour is an ordinary system file of three processes and ordinary calls; how many processes there are is the
-//! layout's affair.
+//! Invariant: a behaviour is an ordinary system file of three processes and ordinary calls; the layout
+//! decides how many processes there are.
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::layout::Layout;
 
-/// What the surgeon does.
+/// Tasks of the surgeon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Behavior {
     /// The tool in a hand, without a robot.
@@ -31,18 +31,18 @@ pub(super) struct Ask {
 pub(super) struct Picture {
     /// The command that writes it.
     pub(super) save: String,
-    /// Of the file.
+    /// Name of the picture's file.
     pub(super) name: &'static str,
 }
 
-/// Where a scan is begun and seen.
+/// Paths by which a scan is started and observed.
 pub(super) struct Scanning {
-    /// There and back.
+    /// Start commands, there and back.
     pub(super) starts: [Ask; 2],
     pub(super) progress: String,
-    /// What is really so.
+    /// Path of the ground truth.
     pub(super) truth: String,
-    /// From the tip to the surface, m.
+    /// Distance from the tip to the surface, m.
     pub(super) offset_m: f64,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Scanning {
 const OFFSET_M: f64 = 500e-6;
 /// 3 mm across the fovea.
 const HALF_LINE_M: f64 = 1.5e-3;
-/// Where the robot's base frame has the retina's apex: its tool and the standoff at home above z = 0, m.
+/// Position of the retina's apex in the robot's base frame: its tool and the standoff at home above z = 0, m.
 const APEX_Z_M: f64 = 0.121;
 
 impl Behavior {
@@ -62,7 +62,7 @@ impl Behavior {
         }
     }
 
-    /// Its system file.
+    /// Returns its system file.
     pub(super) fn system(self) -> &'static str {
         match self {
             Behavior::FreeHand => include_str!("../../../demo/free-hand.json"),
@@ -88,7 +88,7 @@ impl Behavior {
         }
     }
 
-    /// Of the leader, to try.
+    /// Returns a command of the leader, for the user to try.
     pub(super) fn command(self) -> &'static str {
         match self {
             Behavior::FreeHand => "truth/measured_cp",
@@ -104,7 +104,7 @@ impl Behavior {
         }
     }
 
-    /// What is asked once when the system is up.
+    /// Returns the calls that are made once when the system is up.
     pub(super) fn begin(self, layout: Layout) -> Vec<Ask> {
         let all =
             [text(0, self.title(), 24, [255, 255, 255, 255]), text(1, "SIMULATED", 16, [255, 200, 80, 255])];
@@ -126,7 +126,7 @@ impl Behavior {
         })
     }
 
-    /// Pictures of what it does.
+    /// Returns the pictures of the behaviour.
     pub(super) fn pictures(self, layout: Layout) -> Vec<Picture> {
         let of =
             |component: &str, name| Picture { save: layout.place(&format!("{component}/ctl/save")), name };

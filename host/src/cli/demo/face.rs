@@ -31,7 +31,7 @@ enum Kind {
 }
 
 impl<'a> Face<'a> {
-    /// `head` is what stays in view on a screen, and `lines` what is printed first elsewhere.
+    /// Opens the display: `head` stays in view on a screen, `lines` are printed first elsewhere.
     pub(super) fn open(session: &'a Session, silent: bool, head: String, lines: &str) -> Self {
         if silent {
             return Self { session, kind: Kind::Silent };
@@ -46,8 +46,8 @@ impl<'a> Face<'a> {
         Self { session, kind }
     }
 
-    /// Draws each second, until somebody at a screen wants no more. While the GCM does not answer there are
-    /// no figures.
+    /// Draws each second, until a person at a screen ends it. While the GCM does not answer there
+    /// are no figures.
     pub(super) async fn keep(&mut self) {
         if matches!(self.kind, Kind::Silent) {
             return std::future::pending().await;
@@ -117,7 +117,7 @@ impl<'a> Face<'a> {
     }
 }
 
-/// So many lines: what stays, the table, and below it the warnings.
+/// Lays out so many lines: the head, the table, and below it the warnings.
 fn laid_out(head: &str, table: &str, kept: &Kept, rows: usize) -> String {
     let head: Vec<&str> = head.lines().collect();
     let room = rows.saturating_sub(head.len() + 1);
@@ -130,8 +130,8 @@ fn laid_out(head: &str, table: &str, kept: &Kept, rows: usize) -> String {
     lines.join("\n")
 }
 
-/// The warnings, in so many lines: the first of those from while it came up, which later ones may follow from,
-/// and the last of these.
+/// Returns the warnings, in so many lines: the first one from while it came up, which later ones may follow
+/// from, and the last ones.
 fn foot(kept: &Kept, room: usize) -> Vec<String> {
     let title = |text: String| style::paint(&text, style::WARN, style::stdout());
     let mut lines = Vec::new();

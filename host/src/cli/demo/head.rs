@@ -10,14 +10,14 @@ pub(super) struct Head {
 }
 
 impl Head {
-    /// One thing a line, for whoever reads from the top.
+    /// Returns one thing a line, for a person who reads from the top.
     pub(super) fn lines(&self) -> String {
         let picture = self.picture();
         let hints = run::hints(&self.addr, Some(&self.command));
         format!("{}\n  the surgeon's picture: {picture}\n{hints}\n", self.title)
     }
 
-    /// In as few lines as 80 columns allow: they stay in view.
+    /// Returns as few lines as 80 columns allow: they stay in view.
     pub(super) fn for_a_screen(&self) -> String {
         let addr = &self.addr;
         let viewer = hosting::viewer(addr);

@@ -1,4 +1,4 @@
-//! In how many processes a file of several runs: those that are not apart run in the first one.
+//! Number of processes in which a file of several runs: components that are not apart run in the first one.
 //!
 //! Invariant: only the first part of paths changes; components, connections and settings stay as written.
 
@@ -6,12 +6,12 @@ use serde_json::{Map, Value};
 
 use crate::system_file::{Problem, SystemFile};
 
-/// Processes of the files, the first one that of whoever asks.
+/// First process of the files, which every layout has.
 const HOME: &str = "host";
-/// Most there are.
+/// Largest number of processes.
 pub(super) const MOST: usize = 3;
 
-/// How many processes of a file are apart from the first one.
+/// Number of processes that the demo's components are spread over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
     /// 1 to [`MOST`].
@@ -35,7 +35,7 @@ impl Layout {
         }
     }
 
-    /// OCT is the third process, whoever moves the tool the second one.
+    /// Tells whether a process is apart: OCT is the third process, the one that moves the tool is the second.
     fn is_apart(self, process: &str) -> bool {
         match process {
             HOME => true,

@@ -1,4 +1,4 @@
-//! What the demo did in a window of time, told by its GCM.
+//! Figures of the demo in a window of time, as its GCM reports them.
 //!
 //! Invariant: a robot's window begins and ends right after one of its steps, when its counters agree with its
 //! time grid; in between it may be late, and the machine may be busy, without a count being off. A busy
@@ -17,12 +17,13 @@ use crate::cli::view::{ConnectionView, StatsView, SystemView};
 
 /// Threads, caches and the robot's first motion settle before figures are taken.
 const SETTLE: Duration = Duration::from_millis(500);
-/// Two looks and the time between them that took no longer place a step well: less than half a period of the robot.
+/// Two looks that, with the time between them, take no longer than this place a step well: less than half a
+/// period of the robot.
 const SHARP: Duration = Duration::from_micros(400);
 /// After this long the best place found is taken.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// Paths of what is measured.
+/// Paths of the measured components.
 pub(super) struct Parts {
     pub(super) behavior: &'static str,
     pub(super) robot: String,
@@ -31,7 +32,7 @@ pub(super) struct Parts {
     pub(super) chain: Vec<String>,
 }
 
-/// What `--json` prints at the end.
+/// Object that `--json` prints at the end.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Report {
     behavior: &'static str,
@@ -46,12 +47,12 @@ pub(super) struct Report {
     scan: Option<Scanned>,
 }
 
-/// What a component did in a window.
+/// Steps of a component in a window.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 struct Steps {
-    /// The time in which they were counted, and how far off that may be, s.
+    /// Time in which the steps were counted, and how far off that may be, s.
     ///
-    /// executed + skipped = periods of it.
+    /// executed + skipped = its periods.
     seconds: f64,
     unsure_s: f64,
     executed: u64,
@@ -99,7 +100,7 @@ pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> R
 #[derive(Clone, Copy)]
 struct Moment {
     at: Instant,
-    /// Half of the time between them.
+    /// Half of the time between the two.
     unsure: Duration,
 }
 
@@ -121,8 +122,8 @@ struct Robot {
     stats: StatsView,
 }
 
-/// A look that was itself held up says nothing about the time it was taken: the next step is waited for, and the best of
-/// them kept.
+/// Reads the robot's counters right after a step. A look that was itself held up says nothing about the time
+/// it was taken: the function waits for the next step, and keeps the best look.
 async fn after_step(session: &Session, robot: &str) -> Result<Robot, Failure> {
     let look = || async {
         let begun = Instant::now();
@@ -209,7 +210,7 @@ impl Steps {
 }
 
 impl Report {
-    /// The report between two looks, of which none was taken right after a step of the robot.
+    /// Makes the report between two looks, none of which was taken right after a step of the robot.
     pub(super) fn between(a: &Reading, b: &Reading, parts: &Parts) -> Report {
         Report::of(Steps::between(&a.robot(parts), &b.robot(parts)), a, b, parts)
     }

@@ -1,7 +1,7 @@
 //! `trocar demo`: a surgical system on simulated devices, in one process or several, with a live table.
 //!
-//! Invariant: it is an ordinary system file through ordinary plugins, and several processes are kept as `trocar up` keeps
-//! them; what is asked of it anybody could ask.
+//! Invariant: it is an ordinary system file through ordinary plugins, and several processes are kept as
+//! `trocar up` keeps them. Every call to it is one that any client could make.
 
 mod acting;
 mod behavior;
@@ -35,11 +35,11 @@ use crate::system_file::SystemFile;
 
 /// The source of the video.
 const SOURCE: &str = "host/camera";
-/// The inputs of the video chain: what arrives at the last one went all the way.
+/// The inputs of the video chain: frames that arrive at the last one went all the way.
 const CHAIN: [&str; 3] = ["host/overlay/image", "host/pip/image", "host/display/image"];
-/// Whoever commands the robot may take this long to stop.
+/// Time that the component that commands the robot may take to stop.
 const REST: Duration = Duration::from_secs(1);
-/// A robot takes less than this for 0.4 mm.
+/// Time for the way out: a robot takes less than this for 0.4 mm.
 const WAY_OUT: Duration = Duration::from_millis(150);
 
 const EXAMPLES: &str = "\
@@ -54,7 +54,8 @@ In several processes, host/robot is robot/robot. One that is killed comes back; 
 Pictures of it, without a screen:
   trocar demo --behavior bscan --pictures pictures";
 
-/// Runs a small surgical system: a simulated eye, robot, OCT and stereo microscope, real processing and control, a live table.
+/// Runs a small surgical system: a simulated eye, robot, OCT and stereo microscope, real processing and
+/// control, a live table.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct DemoArgs {
@@ -173,13 +174,13 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
     done
 }
 
-/// It was asked to end before there was anything to tell of.
+/// Reports that the demo was asked to end before there was anything to summarize.
 fn early() -> Exit {
     out::complain("note", "the demo was ended while it started, so there is no summary");
     Exit::Interrupted
 }
 
-/// How a running demo is shown.
+/// Display of a running demo.
 struct Show<'a> {
     seconds: Option<u64>,
     pictures: Option<PathBuf>,
@@ -187,7 +188,7 @@ struct Show<'a> {
     behavior: Behavior,
     layout: Layout,
     port: hosting::PortArgs,
-    /// While a screen shows them.
+    /// Set while a screen shows the warnings.
     warnings: Cell<Option<Diverted>>,
 }
 
@@ -204,7 +205,7 @@ impl Show<'_> {
         }
     }
 
-    /// From where what is reached is counted, for people.
+    /// Returns the counters that the summary starts from; `None` with `--json`.
     async fn look(&self, addr: &str) -> Option<Reading> {
         let asking = Session::new(Some(addr.to_owned()), false);
         if self.session.json() { None } else { Reading::now(&asking).await.ok() }
@@ -220,8 +221,8 @@ impl Show<'_> {
         }
     }
 
-    /// Until it has measured for as long as it was to, and the pictures are there; `None` where somebody had
-    /// enough before.
+    /// Runs until the measurement is over and the pictures are written; `None` where the user
+    /// ended it before.
     async fn run(&self, addr: &str, head: &Head) -> Result<Option<Ended>, Failure> {
         let asking = Session::new(Some(addr.to_owned()), false);
         let acting = Acting::new(&asking, self.behavior, self.layout);
@@ -236,7 +237,7 @@ impl Show<'_> {
         }
     }
 
-    /// Says what came of it; of one that was ended by somebody, what it reached since `from`.
+    /// Prints the result; for a demo that the user ended, the figures since `from`.
     async fn over(&self, ended: Result<Option<Ended>, Failure>, addr: &str, from: Option<Reading>) -> Done {
         drop(self.warnings.take());
         let ended = ended?;
@@ -259,19 +260,19 @@ impl Show<'_> {
         Ok(Exit::Ok)
     }
 
-    /// At the end whoever commands the robot comes to rest before it: the hold and the way out of the eye that a scan sends
-    /// when it ends still find a robot that takes them.
+    /// Stops the component that commands the robot before the robot itself: the hold and the way out of the
+    /// eye that a scan sends when it ends still find a robot that takes them.
     async fn rest(&self, addr: &str) {
         let Some(commander) = self.behavior.commander() else { return };
         let asking = Session::new(Some(addr.to_owned()), false);
         let stop = asking.stop_all_of(vec![self.layout.place(commander)], REST);
-        // One that does not stop now is stopped with all the rest.
+        // A component that does not stop now is stopped with all the rest.
         if let Ok(Ok(())) = tokio::time::timeout(REST, stop).await {
             tokio::time::sleep(WAY_OUT).await;
         }
     }
 
-    /// What it was to do before it ends; for ever where it was to do nothing.
+    /// Measures and writes pictures as asked; without either it runs for ever.
     async fn end(
         &self,
         asking: &Session,
@@ -297,7 +298,7 @@ impl Show<'_> {
     }
 }
 
-/// What `--json` prints at the end.
+/// Object that `--json` prints at the end.
 #[derive(Serialize)]
 struct Ended {
     #[serde(flatten)]

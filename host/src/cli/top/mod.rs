@@ -1,8 +1,8 @@
 //! `trocar top`: every process, component and connection, live.
 //!
-//! Invariant: one question to the GCM each interval, and keys are heard while it is asked; a terminal is left as it was found,
-//! and a GCM that goes away and comes back is waited for there. Into a pipe, or with --json, one block or object is printed
-//! each interval.
+//! Invariant: there is one question to the GCM in each interval, and keys are heard meanwhile. A terminal is
+//! left as it was found; there a GCM that goes away is waited for until it comes back. Into a pipe, or with
+//! --json, one block or object is printed in each interval.
 
 pub(super) mod rates;
 
@@ -35,12 +35,12 @@ pub(super) struct TopArgs {
     count: Option<u64>,
 }
 
-/// What rows are sorted by: the largest first, paths from a to z.
+/// Sort order of rows: the largest first, paths from a to z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Sort {
     /// By path; connections by number.
     Path,
-    /// What does not run or is not well first.
+    /// Failures first: rows that do not run or are not well.
     Health,
     /// Steps or samples per second.
     Rate,
@@ -71,7 +71,7 @@ fn interval(text: &str) -> Result<u64, String> {
     }
 }
 
-/// What is shown, and how.
+/// Content and form of what is shown.
 struct Shown {
     sort: Sort,
     reversed: bool,
@@ -81,7 +81,7 @@ struct Shown {
     trouble: Option<String>,
 }
 
-/// How long a GCM may take to answer, with a process among its own that does not.
+/// Time that a GCM may take to answer when one of its processes does not.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 pub(super) async fn run(args: TopArgs, session: &Session) -> Done {
@@ -132,7 +132,7 @@ async fn look(session: &Session, path: &str) -> Result<SystemView, Failure> {
     tokio::time::timeout(PATIENCE, session.list_of(path)).await.unwrap_or_else(|_| Err(silent()))
 }
 
-/// What was asked, when something was.
+/// Waits for the answer to a question, for ever where there is none.
 async fn answered<F: Future<Output = T> + Unpin, T>(asking: &mut Option<F>) -> T {
     match asking {
         Some(asking) => asking.await,

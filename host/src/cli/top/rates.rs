@@ -1,6 +1,7 @@
 //! Two answers of List → what happened between them, as rows.
 //!
-//! Invariant: a counter that went back began anew, and counts from zero; a figure nobody gave is shown as "-", never as 0.
+//! Invariant: a counter that went back began anew, and counts from zero; a figure that is not known is shown
+//! as "-", never as 0.
 
 use serde::Serialize;
 
@@ -9,11 +10,11 @@ use crate::cli::table::Table;
 use crate::cli::view::{ComponentView, ConnectionView, SystemView};
 use crate::cli::{style, units};
 
-/// What `--json` prints each interval.
+/// Object that `--json` prints in each interval.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(in crate::cli) struct Figures {
     pub(super) revision: u64,
-    /// Over which rates are averaged.
+    /// Time over which rates are averaged.
     pub(in crate::cli) seconds: f64,
     pub(super) processes: Vec<ProcessRow>,
     pub(super) components: Vec<ComponentRow>,
@@ -30,11 +31,11 @@ pub(super) struct ProcessRow {
     pub(super) last_exit: String,
     pub(super) warnings: Vec<String>,
     pub(super) components: usize,
-    /// Of all its components, in processors.
+    /// Load of all its components, in processors.
     pub(super) load: f64,
 }
 
-/// `None`: nobody gave the figure, or there is none to compare it with.
+/// `None`: the figure is not known, or there is no earlier one to compare with.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct ComponentRow {
     pub(super) path: String,
@@ -67,7 +68,7 @@ pub(super) struct ConnectionRow {
     pub(super) bytes_per_s: Option<f64>,
     pub(super) latency_p50_ns: u64,
     pub(super) latency_p99_ns: u64,
-    /// Those that were rejected among them.
+    /// Dropped ones, with the rejected ones among them.
     pub(super) dropped: Option<u64>,
     pub(super) dropped_now: u64,
     pub(super) rejected: u64,
@@ -77,7 +78,7 @@ pub(super) struct ConnectionRow {
     pub(super) failed_now: u64,
 }
 
-/// What came since; all of it when the counter began anew.
+/// Returns the increase of a counter; all of it when the counter began anew.
 pub(in crate::cli) fn since(before: u64, now: u64) -> u64 {
     now.checked_sub(before).unwrap_or(now)
 }
@@ -143,7 +144,7 @@ fn component(before: &SystemView, now: &SystemView, c: &ComponentView, seconds: 
     };
     let old = before.components.iter().find(|o| o.path == c.path);
     let old = match old {
-        // All its life is no interval.
+        // The counts of a component's whole life are no interval.
         Some(old) if !old.is_measured && !is_anew(before, now, &c.path) => return row,
         Some(old) if is_anew(before, now, &c.path) || old.stats.executed > s.executed => None,
         old => old,
@@ -206,7 +207,7 @@ fn ill(c: &ComponentRow) -> u8 {
     }
 }
 
-/// What nobody knows comes last.
+/// Orders the largest first, unknown figures last.
 fn largest(a: Option<f64>, b: Option<f64>) -> std::cmp::Ordering {
     b.unwrap_or(-1.0).total_cmp(&a.unwrap_or(-1.0))
 }
@@ -216,7 +217,7 @@ fn sum(of: Option<u64>) -> u64 {
 }
 
 impl Figures {
-    /// What matters by this measure first; equals keep the order of their paths.
+    /// Sorts by this measure, the most important rows first; equals keep the order of their paths.
     pub(super) fn sort(&mut self, by: Sort) {
         self.components.sort_by(|a, b| a.path.cmp(&b.path));
         self.connections.sort_by_key(|c| c.id);
@@ -251,7 +252,7 @@ impl Figures {
         self.render_in(usize::MAX, colour)
     }
 
-    /// In so many columns, of which the last ones are left out where they do not fit.
+    /// Renders the rows in so many columns; the last ones are left out where they do not fit.
     pub(in crate::cli) fn render_in(&self, columns: usize, colour: bool) -> String {
         let parts = [self.process_table(), self.component_table(), self.connection_table()];
         let shown: Vec<String> = parts
@@ -344,7 +345,7 @@ fn plain(text: String) -> (String, anstyle::Style) {
     (text, style::PLAIN)
 }
 
-/// A figure, or that nobody knows it.
+/// Formats a figure, or that it is not known.
 fn known(figure: Option<f64>, text: fn(f64) -> String) -> (String, anstyle::Style) {
     plain(figure.map_or_else(|| "-".to_owned(), text))
 }

@@ -1,7 +1,8 @@
 //! The processes that a GCM wants for isolated components, kept beside those of the file.
 //!
-//! Invariant: the GCM's list is followed, never added to; what is not on it any more ends, and the GCM is told when it has. A
-//! GCM that was restarted gets the list from here, since it has lost its own.
+//! Invariant: the GCM's list is followed, never added to. A process that is not on it any more ends,
+//! and the GCM is told when it has ended. A GCM that was restarted gets the list from here, since it
+//! has lost its own.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
@@ -14,25 +15,25 @@ use crate::cli::session::Session;
 use crate::gcm::{Apart, Fate, Supervisor, Told};
 use crate::processes::{Phase, Program, Status};
 
-/// Those kept for isolated components, by name.
+/// Processes kept for isolated components, by name.
 pub(super) type Roster = BTreeMap<String, Program>;
 
-/// Between two attempts to hear a GCM that does not answer.
+/// Pause between two attempts to hear a GCM that does not answer.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// What is wanted, and what is on its way out.
+/// Processes that are wanted, and those on their way out.
 #[derive(Default)]
 struct Wishes {
-    /// The GCM that wants it; 0 = none was heard.
+    /// Term of the GCM that wants them; 0 = none was heard.
     term: u64,
     wanted: Vec<Apart>,
     leaving: BTreeSet<String>,
-    /// Ended, and not told yet.
+    /// Processes that have ended, which the GCM is not told yet.
     gone: Vec<Told>,
 }
 
 impl System {
-    /// Makes what is wanted and ends what is not any more, for ever.
+    /// Makes the processes that are wanted and ends those that are not any more, for ever.
     pub(super) async fn attend(&self, session: &Session) -> Infallible {
         let mut wishes = Wishes::default();
         loop {
@@ -45,7 +46,7 @@ impl System {
         }
     }
 
-    /// For as long as the GCM is heard.
+    /// Follows the GCM's list for as long as the GCM is heard.
     async fn listen(
         &self,
         session: &Session,
@@ -79,7 +80,7 @@ impl System {
 }
 
 impl Wishes {
-    /// What has ended is forgotten, what is not wanted is asked to end, what is missing is made.
+    /// Forgets processes that have ended, asks unwanted ones to end, and makes missing ones.
     fn settle(&mut self, system: &System, statuses: &BTreeMap<String, Status>, gcm: &str) {
         let kept: Vec<String> = system.apart.borrow().keys().cloned().collect();
         for name in kept {

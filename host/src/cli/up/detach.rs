@@ -1,7 +1,7 @@
 //! `trocar up --detach`: the same program, left running.
 //!
-//! Invariant: it answers what the one left running would have, when that is up or has given up; until then both end together,
-//! and afterwards nothing of the terminal stays with it.
+//! Invariant: the command answers what the program left running would have, when that is up or has given up.
+//! Until then both end together, and afterwards nothing of the terminal stays with that program.
 
 use std::ffi::OsString;
 use std::fs::{DirBuilder, File};
@@ -20,10 +20,10 @@ use crate::cli::out;
 use crate::cli::session::Session;
 use crate::host::StopRequest;
 
-/// Above this, bytes, what earlier ones have written is forgotten.
+/// Size of the log, bytes, above which the text of earlier programs is forgotten.
 const OLD: u64 = 1 << 20;
 
-/// Where the one left running writes.
+/// Returns the log file of the program that is left running.
 pub(super) fn log(place: &Path) -> PathBuf {
     place.join("up.log")
 }
@@ -36,10 +36,10 @@ pub(super) async fn run(args: &UpArgs, place: &Path, name: &str, session: &Sessi
     if let Some(stdout) = child.stdout.take() {
         let mut stdout = BufReader::new(stdout);
         tokio::select! {
-            // One that ends says what it says before.
+            // A child that ends prints its answer before.
             _ = stdout.read_line(&mut line) => {}
             () = stop.asked() => {
-                // It is tied to this one, and ends in order.
+                // The child is tied to this program, and ends in order.
                 drop(child.stdin.take());
                 ended(&mut child).await;
                 return Ok(Exit::Interrupted);
@@ -51,7 +51,7 @@ pub(super) async fn run(args: &UpArgs, place: &Path, name: &str, session: &Sessi
         return Err(refused(&said, &shown, ended(&mut child).await));
     }
     if let Some(mut tie) = child.stdin.take() {
-        // From here on it is on its own.
+        // From here on the child is on its own.
         let _ = tie.write_all(b"ok\n").await;
     }
     if session.json() {
@@ -97,7 +97,7 @@ fn spawn(args: &UpArgs, place: &Path, log: &Path, session: &Session) -> Result<C
         .map_err(|e| io("cannot start what is to be left running", e))
 }
 
-/// What was asked, said anew for the one that is left running.
+/// Returns the arguments of this call, for the program that is left running.
 fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
     let mut all: Vec<OsString> = ["up", "--json", "--detached"].map(Into::into).into();
     // Joined, so that no value is taken for a flag.
@@ -117,7 +117,7 @@ fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
     all
 }
 
-/// How it ended, as it would have here.
+/// Waits for the end of the child; returns its exit as that of this program.
 async fn ended(child: &mut Child) -> Exit {
     let code = child.wait().await.ok().and_then(|status| status.code());
     let known = [Exit::Usage, Exit::NoGcm, Exit::TimedOut, Exit::Partial, Exit::Interrupted];

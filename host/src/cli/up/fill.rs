@@ -1,7 +1,7 @@
-//! Everything of a system file made in its processes, and waited for until it has made its first steps.
+//! Makes everything of a system file in its processes, and waits until it has made its first steps.
 //!
-//! Invariant: one that crashes meanwhile is filled once more, as long as its supervisor starts it again; but what moves
-//! something was not asked to go on after a crash, so it is not started again.
+//! Invariant: a process that crashes meanwhile is filled once more, as long as its supervisor starts it
+//! again. A component that moves something was not asked to go on after a crash, so it is not started again.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -17,21 +17,21 @@ use crate::cli::view::{ComponentView, SystemView};
 use crate::processes::Phase;
 use crate::system_file::{ComponentSpec, SystemFile};
 
-/// Between two looks, the shortest and the longest.
+/// Pause between two looks, the shortest and the longest.
 const LOOK: (Duration, Duration) = (Duration::from_millis(5), Duration::from_millis(100));
-/// How long the first steps of all are waited for.
+/// Time that the first steps of all components are waited for.
 const FIRST_STEPS: Duration = Duration::from_secs(3);
 
-/// What came of it.
+/// Result of filling the processes.
 #[derive(Default)]
 pub(super) struct Filled {
     pub(super) standing: SystemView,
     pub(super) warnings: Vec<String>,
-    /// Not started, since their processes crashed meanwhile.
+    /// Components that were not started, since their processes crashed meanwhile.
     pub(super) waiting: BTreeSet<ComponentId>,
 }
 
-/// Whether what went wrong is over when a process is back.
+/// Tells whether a failure is over when a process is back.
 fn passes(failure: &Failure) -> bool {
     failure.reason == "PROCESS_LOST"
 }
@@ -70,7 +70,7 @@ impl System {
         crashed: &BTreeSet<&str>,
         session: &Session,
     ) -> Result<Filled, Failure> {
-        // Of an attempt before this one, or of a system of this name that was killed.
+        // Removes the components of an earlier attempt, or of a system of this name that was killed.
         session.apply(&removes(listed, names), BRING_UP).await?;
         let starts = |c: &&ComponentSpec| c.start && !crashed.contains(c.id.process.as_str());
         let mut requests = file.requests();
@@ -94,13 +94,13 @@ impl System {
         Ok(Filled { standing, warnings, waiting })
     }
 
-    /// Waits until all serve and the GCM has all of them; how it stands then.
+    /// Waits until all serve and the GCM has all of them; returns the state then.
     async fn settled(&self, session: &Session, names: &[String]) -> Result<SystemView, Failure> {
         let mut pause = LOOK.0;
         loop {
             self.serving(names).await?;
             let statuses = self.supervisor.statuses().borrow().clone();
-            // A GCM of somebody else may be restarted meanwhile.
+            // A GCM of another owner may be restarted meanwhile.
             if let Ok(listed) = session.standing().await {
                 let there = |name: &String| {
                     let pid = statuses.get(name).filter(|s| s.phase == Phase::Running).map(|s| s.pid);
@@ -135,7 +135,7 @@ fn start<'a>(components: impl Iterator<Item = &'a ComponentSpec>) -> Option<Requ
     (!targets.is_empty()).then_some(Request::Start { targets })
 }
 
-/// Waits until everything that was started has stepped, or does not run after all; how it stands then.
+/// Waits until every started component has stepped, or does not run after all; returns the state then.
 async fn first_steps(file: &SystemFile, session: &Session) -> Result<SystemView, Failure> {
     let started: BTreeSet<String> =
         file.components.iter().filter(|c| c.start).map(|c| c.id.to_string()).collect();
@@ -152,8 +152,8 @@ async fn first_steps(file: &SystemFile, session: &Session) -> Result<SystemView,
     }
 }
 
-/// Nothing is to be waited for: it is past its first step, which is known to have gone well when there was a second one, it
-/// does not run, or it steps only when something comes.
+/// Tells that there is nothing to wait for: the component is past its first step, does not run, or steps only
+/// when something comes. The first step is known to have gone well when there was a second one.
 fn has_stepped(c: &ComponentView) -> bool {
     let e = &c.execution;
     let by_itself = match e.model.as_str() {

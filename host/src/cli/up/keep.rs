@@ -1,4 +1,5 @@
-//! A system that is up: mended where it breaks, judged, told of, and given the processes its GCM wants beside.
+//! Care for a system that is up: mends processes that break, judges them, reports about them, and makes the
+//! extra ones that the GCM wants.
 //!
 //! Invariant: all of it goes on for as long as the system is kept, and ends with it.
 
@@ -17,7 +18,7 @@ use super::useless::{self, Patience};
 use crate::cli::session::Session;
 use crate::system_file::SystemFile;
 
-/// Until what could not be found out of a process is asked again.
+/// Pause before a question about a process that could not be answered is asked again.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
 
 type Forever<'a> = Pin<Box<dyn Future<Output = Infallible> + 'a>>;
@@ -36,7 +37,7 @@ impl System {
         }
     }
 
-    /// Every process has somebody who makes it whole again.
+    /// Gives every process a mender that makes it whole again.
     async fn mend(&self, tools: &Tools<'_>) -> Infallible {
         let (statuses, mut apart) = (self.supervisor.statuses(), self.apart.subscribe());
         let mut menders: BTreeMap<String, Forever<'_>> = BTreeMap::new();
@@ -53,13 +54,13 @@ impl System {
             }
             tokio::select! {
                 never = all(&mut menders) => match never {},
-                // This holds its sender.
+                // `self` holds the sender.
                 _ = apart.changed() => {}
             }
         }
     }
 
-    /// Puts down what lives and is of no use, for ever.
+    /// Puts down processes that live and are of no use, for ever.
     async fn judge(&self, session: &Session) -> Infallible {
         let (mut statuses, mut standing) = (self.supervisor.statuses(), self.standing.clone());
         let mut patience = Patience::default();
@@ -72,7 +73,7 @@ impl System {
             };
             let (over, mut next) = patience.look(&now, &stands, &policies, Instant::now());
             if !over.is_empty() {
-                // What was heard last may be old: a GCM that stands still says nothing new.
+                // The state heard last may be old: a GCM that stands still says nothing new.
                 let fresh = session.standing().await.map(|listed| Standing::of(stands.term, listed));
                 for useless in over {
                     if fresh.as_ref().is_ok_and(|fresh| useless::is_so(fresh, &useless)) {
@@ -110,7 +111,7 @@ impl System {
     }
 }
 
-/// All of them side by side.
+/// Runs all menders side by side.
 async fn all(menders: &mut BTreeMap<String, Forever<'_>>) -> Infallible {
     std::future::poll_fn(|cx| {
         for mender in menders.values_mut() {
@@ -123,7 +124,7 @@ async fn all(menders: &mut BTreeMap<String, Forever<'_>>) -> Infallible {
     .await
 }
 
-/// Never when there is nothing to wait for.
+/// Sleeps until then, or for ever when there is nothing to wait for.
 async fn until(next: Option<Instant>) {
     match next {
         Some(at) => tokio::time::sleep_until(at.into()).await,

@@ -1,7 +1,8 @@
-//! What a process had when it was last seen whole, and the requests that make it again.
+//! Contents of a process when it was last seen whole, and the requests that make them again.
 //!
-//! Invariant: it is what was seen, not what a file says: what somebody removed meanwhile is not made again, and what was
-//! created or connected meanwhile is. Of an incarnation that has ended, only how its components stood at last is taken in.
+//! Invariant: the contents are those that were seen, not those of a file: a component that was removed
+//! meanwhile is not made again, and one that was created or connected meanwhile is. Of an incarnation that
+//! has ended, only the last states of its components are taken in.
 
 use std::collections::BTreeMap;
 
@@ -14,24 +15,24 @@ use crate::cli::view::{ComponentView, ConnectionView, ExecutionView, OptionsView
 
 #[derive(Default)]
 pub(super) struct LastSeen {
-    /// Of the incarnation that was seen; 0 = none was.
+    /// Pid of the incarnation that was seen; 0 = none was.
     pid: u32,
     /// By path.
     components: BTreeMap<String, ComponentView>,
-    /// Whether they ran, or were on their way to.
+    /// Whether the components ran, or were on their way to.
     ran: BTreeMap<String, bool>,
-    /// Those that end in it, by number.
+    /// Connections with an end in the process, by number.
     connections: BTreeMap<u64, ConnectionView>,
 }
 
 impl LastSeen {
-    /// Takes in all of a process that is whole.
+    /// Takes in the contents of a process that is whole.
     pub(super) fn take(&mut self, process: &str, pid: u32, standing: &Standing) {
         self.pid = pid;
         self.components = standing.within(process).map(|c| (c.path.clone(), c.clone())).collect();
         self.ran = self.components.values().map(|c| (c.path.clone(), self.runs(c))).collect();
         let here = |port: &str| process_of(port) == process;
-        // One to a process that the GCM does not have yet is not known to it yet either.
+        // A connection whose other process the GCM does not have yet is not known to it yet, either.
         let awaited = |c: &ConnectionView| {
             let other = if here(&c.client) { process_of(&c.server) } else { process_of(&c.client) };
             standing.processes.get(other).is_none_or(|p| p.state != "ATTACHED")
@@ -41,7 +42,7 @@ impl LastSeen {
         self.connections.extend(now.map(|(id, c)| (*id, c.clone())));
     }
 
-    /// Takes in how its components stood when the incarnation that was seen ended.
+    /// Takes in the states of the components when the incarnation that was seen ended.
     pub(super) fn take_last(&mut self, process: &str, standing: &Standing) {
         if self.pid == 0 || standing.processes.get(process).is_none_or(|p| p.pid != self.pid) {
             return;
@@ -52,17 +53,18 @@ impl LastSeen {
         }
     }
 
-    /// One that waits to be resumed since a restart is still what it was before: a second end may come before that.
+    /// Tells whether a component runs. A component that waits to be resumed since a restart counts as it did
+    /// before: a second end may come before that.
     fn runs(&self, c: &ComponentView) -> bool {
         c.state == "ACTIVE" || c.state == "STOPPED{restarted}" && self.ran(&c.path)
     }
 
-    /// It was seen at all.
+    /// Tells whether the process was seen at all.
     pub(super) fn is_known(&self) -> bool {
         self.pid != 0
     }
 
-    /// A component that nobody has ever seen is as one that ran.
+    /// Tells whether a component ran; one that was never seen counts as one that ran.
     pub(super) fn ran(&self, path: &str) -> bool {
         self.ran.get(path).copied().unwrap_or(true)
     }
@@ -71,7 +73,7 @@ impl LastSeen {
         self.components.keys().filter_map(|path| ComponentId::parse(path).ok()).collect()
     }
 
-    /// What makes all of it again, and starts nothing.
+    /// Returns the requests that make all of it again, and start nothing.
     pub(super) fn requests(&self) -> Vec<Request> {
         let creates = self.components.values().filter_map(create);
         creates.chain(self.connections.values().filter_map(connect)).collect()
@@ -87,7 +89,7 @@ fn create(c: &ComponentView) -> Option<Request> {
     Some(Request::Create {
         id: ComponentId::parse(&c.path).ok()?,
         class: c.class.clone(),
-        // What is CREATED has an incomplete one, which is not taken when it is given.
+        // A component in CREATED has an incomplete configuration, which is refused when it is given.
         config: Some(c.config.clone()).filter(|config| config.is_object() && c.state != "CREATED"),
         execution: execution(&c.execution),
     })

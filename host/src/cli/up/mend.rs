@@ -1,9 +1,10 @@
-//! What only the supervisor knows of a process that was started again: what is to go on by itself, and, when the GCM had ended
-//! with it, what it had.
+//! Knowledge about a restarted process that only the supervisor has: which components go on by themselves
+//! and, when the GCM had ended with it, what the process had.
 //!
-//! Invariant: a GCM makes anew what a process had, and a process brings along what a GCM had; only what both have lost is
-//! made as it was last seen, or taken from the file when it never was. What moves something goes on only where the file says
-//! `"resume": "auto"`, when it ran before, and never against a Stop.
+//! Invariant: a GCM makes anew what a process had, and a process brings along what a GCM had. Only components
+//! that both have lost are made as they were last seen, or from the file when they never were. A component
+//! that moves something goes on only where the file says `"resume": "auto"`, when it ran before, and never
+//! against a Stop.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -19,37 +20,37 @@ use crate::cli::view::{ComponentView, SystemView};
 use crate::processes::{Phase, Status};
 use crate::system_file::{ComponentSpec, SystemFile};
 
-/// Time for what is made once more.
+/// Time to make components once more.
 const WITHIN: Duration = Duration::from_secs(60);
-/// Before what could not be done is tried again: the first time, and the longest.
+/// Pause before a failed attempt is repeated: the first one, and the longest.
 const AGAIN: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
 
-/// What the supervisor remembers of one process.
+/// Memory of the supervisor about one process.
 pub(super) struct Mender {
     process: String,
-    /// How often it had been started when it was last looked at.
+    /// Number of restarts at the last look.
     restarts: u32,
-    /// It was started since, and what only the file says of it is to be done yet.
+    /// True: the process was restarted since, and mending it is still due.
     owed: bool,
-    /// The GCM under which it was last seen whole.
+    /// Term of the GCM under which the process was last seen whole.
     term: u64,
-    /// What it had then.
+    /// Contents of the process at that time.
     last_seen: LastSeen,
-    /// What was made again, and may wait for connections to processes that are not back yet.
+    /// Components that were made again, and may wait for connections to processes that are not back yet.
     remade: BTreeSet<ComponentId>,
 }
 
-/// Everything one has to do with.
+/// Everything that a mender works with.
 pub(super) struct Tools<'a> {
     pub(super) file: &'a SystemFile,
     pub(super) session: &'a Session,
     pub(super) voice: Option<&'a Voice>,
-    /// One at a time makes what is missing: connections have ends in two processes.
+    /// One mender at a time makes missing components: connections have ends in two processes.
     pub(super) making: &'a tokio::sync::Mutex<()>,
 }
 
 impl Mender {
-    /// Of a process that is up.
+    /// Makes the mender of a process that is up.
     pub(super) fn new(process: &str, status: &Status, standing: &Standing) -> Mender {
         let mut mender = Mender {
             process: process.to_owned(),
@@ -63,7 +64,7 @@ impl Mender {
         mender
     }
 
-    /// Takes in how it stands. True: `mend` is to be called until it answers true.
+    /// Takes in the state of the process. True: `mend` is to be called until it succeeds.
     pub(super) fn look(&mut self, status: &Status, standing: &Standing) -> bool {
         self.owed |= status.restarts != self.restarts;
         self.restarts = status.restarts;
@@ -77,10 +78,10 @@ impl Mender {
         whole && self.owed
     }
 
-    /// Does what is owed.
+    /// Does the mending that is due.
     ///
     /// # Errors
-    /// Something of it failed: all is to be tried once more.
+    /// A part of it failed: all is to be tried once more.
     pub(super) async fn mend(&mut self, standing: &Standing, tools: &Tools<'_>) -> Result<(), Failure> {
         if self.term != standing.term {
             let _alone = tools.making.lock().await;
@@ -91,7 +92,8 @@ impl Mender {
         Ok(())
     }
 
-    /// What it is to have: what is of the file in its order, then what came since.
+    /// Returns the components that the process should have: those of the file in its order, then those
+    /// that came since.
     fn should_have(&self, file: &SystemFile) -> Vec<ComponentId> {
         let written = self.here(file).map(|c| c.id.clone());
         if !self.last_seen.is_known() {
@@ -104,7 +106,7 @@ impl Mender {
         all
     }
 
-    /// What makes that, and what it is connected to.
+    /// Returns the requests that make these components, and their connections.
     fn requests(&self, file: &SystemFile) -> Vec<Request> {
         if self.last_seen.is_known() { self.last_seen.requests() } else { file.requests() }
     }
@@ -113,7 +115,8 @@ impl Mender {
         file.components.iter().filter(move |c| c.id.process.as_str() == self.process)
     }
 
-    /// Lets go on what ran and of which the file says that it goes on by itself, unless somebody stops it in this moment.
+    /// Resumes the components that ran and that the file lets go on by themselves, unless a Stop comes
+    /// in this moment.
     async fn resume(&self, tools: &Tools<'_>) -> Result<(), Failure> {
         let resumes: BTreeSet<String> =
             self.here(tools.file).filter(|c| c.resumes).map(|c| c.id.to_string()).collect();
@@ -131,8 +134,8 @@ impl Mender {
         tools.session.apply_at(&resume, WITHIN, Some(listed.revision)).await.map(|_| ())
     }
 
-    /// Makes what is missing here, and starts what ran, unless it moves something: the GCM may have ended in the middle of
-    /// making it anew.
+    /// Makes the components that are missing here, and starts those that ran, unless they move something: the
+    /// GCM may have ended while it made the process anew.
     async fn make(&mut self, tools: &Tools<'_>) -> Result<(), Failure> {
         let Tools { file, session, .. } = tools;
         let listed = session.standing().await?;
@@ -164,7 +167,7 @@ impl Mender {
         Ok(())
     }
 
-    /// A component that is not there yet, to which something made again is to be connected.
+    /// Returns a component that is not there yet, and that a component made again is to be connected to.
     fn waits_for(&self, all: Vec<Request>, listed: &SystemView) -> Option<ComponentId> {
         let there = |id: &ComponentId| listed.components.iter().any(|c| c.path == id.to_string());
         all.into_iter().find_map(|request| {
@@ -175,7 +178,8 @@ impl Mender {
         })
     }
 
-    /// What stands ready here and ran before, and what of that waits for somebody.
+    /// Returns the components that are READY here and ran before: those to start, and those that
+    /// wait for a person.
     fn to_start<'l>(&self, file: &SystemFile, listed: &'l SystemView) -> (Vec<&'l str>, Vec<&'l str>) {
         let (mut starts, mut waits) = (Vec::new(), Vec::new());
         for id in self.should_have(file) {
@@ -224,7 +228,7 @@ pub(super) async fn keep_whole(
                 }
             }
         }
-        // Both are told for as long as the system is kept.
+        // Both senders live for as long as the system is kept.
         tokio::select! {
             _ = statuses.changed() => {}
             _ = standing.changed() => {}
@@ -232,7 +236,8 @@ pub(super) async fn keep_whole(
     }
 }
 
-/// A change in the moment of looking is nobody's business, and neither is what was said before.
+/// Tells whether a failure is worth a warning: a change in the moment of looking is not, and neither is a
+/// repeated message.
 fn is_news(failure: &Failure, said: &mut Option<String>) -> bool {
     let passes = matches!(failure.reason.as_str(), "REVISION_CONFLICT" | "PROCESS_LOST" | "NO_GCM");
     !passes && said.replace(failure.message.clone()).as_ref() != Some(&failure.message)
@@ -242,7 +247,7 @@ fn targets<'a>(paths: impl Iterator<Item = &'a str>) -> Vec<Target> {
     paths.filter_map(|path| ComponentId::parse(path).ok()).map(Target::One).collect()
 }
 
-/// What it should have and the system has not.
+/// Returns the components that the process should have and the system has not.
 fn missing(should: &[ComponentId], listed: &SystemView) -> BTreeSet<ComponentId> {
     let lost = |id: &&ComponentId| {
         let path = id.to_string();
@@ -251,8 +256,8 @@ fn missing(should: &[ComponentId], listed: &SystemView) -> BTreeSet<ComponentId>
     should.iter().filter(lost).cloned().collect()
 }
 
-/// Requests that make what is missing, complete what an earlier attempt has left half made, and connect both;
-/// no Start. A connection whose other end is missing too comes with that one.
+/// Returns requests that make missing components, configure those that an earlier attempt has left half made,
+/// and connect both; no Start. A connection whose other end is missing too comes with that one.
 fn of_missing(
     all: Vec<Request>,
     missing: &BTreeSet<ComponentId>,
@@ -263,7 +268,8 @@ fn of_missing(
         let path = id.to_string();
         missing.contains(id) || listed.components.iter().any(|c| c.path == path)
     };
-    // Made, and not configured: what was begun could not be taken back.
+    // Tells whether a component is made, but not configured: an attempt that was begun could not
+    // be taken back.
     let is_half = |id: &ComponentId| {
         let path = id.to_string();
         remade.contains(id) && listed.components.iter().any(|c| c.path == path && c.state == "CREATED")
@@ -402,7 +408,7 @@ mod tests {
         // The process is back under the next GCM, which never heard of what it had.
         let next = standing(2, 8, &[]);
         assert!(mender.look(&running(8, 1), &next) && mender.term != next.term);
-        // One that only lost its GCM brings it along.
+        // A process that only lost its GCM brings its contents along.
         let mut other = Mender::new("a", &running(7, 0), &first);
         assert!(!other.look(&running(7, 0), &Standing { term: 2, ..first.clone() }));
         assert_eq!(other.term, 2);
@@ -438,13 +444,13 @@ mod tests {
         let seen = |state: &str| standing(1, 7, &[("a/leg", state)]);
         let mut mender = Mender::new("a", &running(7, 0), &seen("ACTIVE"));
         assert!(mender.last_seen.ran("a/leg"));
-        // The last that was heard of it came together with its end.
+        // The last news of the component came together with its end.
         let mut ended = seen("FAULT");
         ended.processes.get_mut("a").unwrap().state = "LOST".into();
         assert!(!mender.look(&running(7, 0), &ended) && !mender.last_seen.ran("a/leg"));
         let mut back = standing(1, 8, &[("a/leg", "STOPPED{restarted}")]);
         assert!(mender.look(&running(8, 1), &back) && !mender.last_seen.ran("a/leg"), "whatever it is now");
-        // And one that ends again before it was let go on is.
+        // A component that ran goes on even when the process ends again before it was let go on.
         let mut mender = Mender::new("a", &running(7, 0), &seen("ACTIVE"));
         assert!(mender.look(&running(8, 1), &back));
         mender.owed = false;

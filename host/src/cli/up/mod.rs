@@ -1,7 +1,7 @@
 //! `trocar up FILE`: the processes of a system file as children, with a GCM of their own or another's.
 //!
-//! Invariant: whatever ends it ends its children, devices safe first; what does not come up is named with the reason, and
-//! then nothing is left.
+//! Invariant: any end of this program ends its children, devices safe first. A system that does not come up
+//! is reported with the reason, and then nothing is left.
 
 mod apart;
 mod detach;
@@ -40,9 +40,9 @@ use crate::host::{HostError, StateChoice, StateDir, StopRequest, state_home};
 use crate::processes::{Door, Phase, Program, Status, Supervisor, keep_short};
 use crate::system_file::SystemFile;
 
-/// How long a whole system may take to come up.
+/// Time that a whole system may take to come up.
 const BRING_UP: Duration = Duration::from_secs(60);
-/// How long its components may take to stop in order; then their processes stop them all the same.
+/// Time that its components may take to stop in order; then their processes stop them all the same.
 const STOP: Duration = Duration::from_secs(5);
 
 /// Starts the processes of a system file and everything in them; stays until Ctrl-C or `trocar down`.
@@ -69,10 +69,10 @@ pub(super) struct UpArgs {
     detached: bool,
 }
 
-/// Where its GCM is.
+/// The GCM of a system.
 pub(super) enum Gcm {
     Own(Box<Program>),
-    /// Another's, at this address.
+    /// One that this program did not start, at this address.
     Of(String),
 }
 
@@ -80,33 +80,33 @@ pub(super) enum Gcm {
 pub(super) struct System {
     gcm: Gcm,
     launch: Launch,
-    /// Those of the file.
+    /// Processes of the file.
     hosts: Vec<Program>,
-    /// Those of components that were isolated since.
+    /// Processes of components that were isolated since.
     apart: watch::Sender<Roster>,
     supervisor: Supervisor,
-    /// To its GCM, once there is one.
+    /// Session with its GCM, once there is one.
     session: Option<Session>,
     standing: watch::Receiver<Arc<Standing>>,
-    /// They tell the GCM, and listen to it.
+    /// Tasks that tell the GCM, and listen to it.
     talking: Vec<JoinHandle<()>>,
     is_up: bool,
 }
 
-/// What is known of a system that has come up.
+/// Facts about a system that has come up.
 pub(super) struct Up {
-    /// Of its GCM.
+    /// Address of its GCM.
     pub(super) addr: String,
     pub(super) warnings: Vec<String>,
     standing: SystemView,
-    /// Not started, since their processes crashed while it came up.
+    /// Components that were not started, since their processes crashed while the system came up.
     waiting: BTreeSet<ComponentId>,
-    /// Where lies what its processes print.
+    /// Directory with the output of its processes.
     place: PathBuf,
 }
 
 impl Up {
-    /// What the file starts and does not run, and how it stands instead.
+    /// Returns the components that the file starts and that do not run, each with its state instead.
     fn idle(&self, file: &SystemFile) -> Vec<(String, String)> {
         let started: BTreeMap<String, &ComponentId> =
             file.components.iter().filter(|c| c.start).map(|c| (c.id.to_string(), &c.id)).collect();
@@ -181,7 +181,7 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     })
 }
 
-/// In the words of `up`, which has no --state.
+/// Puts the error in the words of `up`, which has no --state.
 fn not_kept(e: &HostError, name: &str) -> Failure {
     let help = match e {
         HostError::StateInUse { .. } | HostError::StateHeld { .. } => {
@@ -212,7 +212,7 @@ fn read(args: &UpArgs) -> Result<SystemFile, Failure> {
     Ok(file)
 }
 
-/// What a system is called that nobody named: as its file.
+/// Returns the name of a system: the given one, else that of its file.
 pub(super) fn name_of(named: Option<&Name>, file: &Path) -> Result<String, Failure> {
     if let Some(name) = named {
         return Ok(name.to_string());
@@ -226,12 +226,12 @@ pub(super) fn name_of(named: Option<&Name>, file: &Path) -> Result<String, Failu
     })
 }
 
-/// Tells people what becomes of the processes of a system.
+/// Returns the voice that tells people what becomes of the processes of a system.
 pub(super) fn voice(name: &str) -> Voice {
     Voice::new(name, false, false)
 }
 
-/// Where systems keep their state and their doors.
+/// Returns the directory of the states and the doors of systems.
 pub(super) fn directories() -> PathBuf {
     state_home().join("up")
 }
@@ -249,14 +249,14 @@ impl System {
             apart: watch::Sender::default(),
             supervisor: Supervisor::default(),
             session: None,
-            // Nobody is heard yet.
+            // No GCM is heard yet.
             standing: watch::channel(Arc::default()).1,
             talking: Vec::new(),
             is_up: false,
         }
     }
 
-    /// Brings it up and stays; ends only when it cannot come up, with the reason.
+    /// Brings the system up and stays; returns only when it cannot come up, with the reason.
     async fn live(&mut self, file: &SystemFile, voice: &Voice) -> Failure {
         match self.come_up(file).await {
             Ok(up) => voice.say_up(&up, &self.supervisor.statuses().borrow(), file),
@@ -265,7 +265,7 @@ impl System {
         match self.keep(file, Some(voice)).await {}
     }
 
-    /// Starts its processes, and makes in them what the file has.
+    /// Starts its processes, and makes the components of the file in them.
     pub(super) async fn come_up(&mut self, file: &SystemFile) -> Result<Up, Failure> {
         let addr = match &self.gcm {
             Gcm::Of(addr) => addr.clone(),
@@ -276,9 +276,9 @@ impl System {
         };
         let names = self.names();
         let session = self.session.insert(Session::new(Some(addr.clone()), false));
-        // Whoever is asked to wait for a GCM waits for ever.
+        // The GCM must be there now: a process that is told to wait for it waits for ever.
         let listed = session.standing().await?;
-        // What a system of these names left when it was killed would be made anew in these.
+        // Components that a killed system of these names left would be made anew in the new processes.
         let left = leftovers(&listed, &names);
         if !left.is_empty() {
             session.tell(&left).await?;
@@ -294,20 +294,20 @@ impl System {
         let statuses = self.supervisor.statuses().borrow().clone();
         let whole =
             |s: &Arc<Standing>| names.iter().all(|n| statuses.get(n).is_some_and(|p| s.is_whole(n, p.pid)));
-        // One that ends in this moment is mended later.
+        // A process that ends in this moment is mended later.
         let _ = tokio::time::timeout(STOP, self.standing.wait_for(whole)).await;
         self.is_up = true;
         let place = self.hosts.first().and_then(|h| h.output.parent()).unwrap_or(Path::new("")).to_owned();
         Ok(Up { addr, warnings, standing, waiting, place })
     }
 
-    /// Of all its processes but its GCM.
+    /// Returns the names of all its processes but its GCM.
     fn names(&self) -> Vec<String> {
         let apart = self.apart.borrow();
         self.hosts.iter().chain(apart.values()).map(|host| host.name.clone()).collect()
     }
 
-    /// Waits until these serve, for as long as a system may take; answers where the last of them does.
+    /// Waits until these serve, for as long as a system may take; returns the address of the last one.
     async fn in_time(&self, names: &[String]) -> Result<Option<String>, Failure> {
         match tokio::time::timeout(BRING_UP, self.serving(names)).await {
             Ok(done) => done,
@@ -315,7 +315,7 @@ impl System {
         }
     }
 
-    /// Waits until these serve; answers where the last of them does.
+    /// Waits until these serve; returns the address of the last one.
     async fn serving(&self, names: &[String]) -> Result<Option<String>, Failure> {
         let mut all = self.supervisor.statuses();
         loop {
@@ -343,7 +343,7 @@ impl System {
             })
             .collect();
         let what = match missing.as_slice() {
-            // They serve, and their GCM has not taken all of them.
+            // All serve, but the GCM has not taken all of them.
             [] => names.join(", "),
             missing => missing.join("; "),
         };
@@ -354,7 +354,7 @@ impl System {
         )
     }
 
-    /// Where to look.
+    /// Tells which logs to look into.
     fn logs(&self, name: &str) -> String {
         let own = match &self.gcm {
             Gcm::Own(program) => Some(&**program),
@@ -371,7 +371,7 @@ impl System {
         let said = |key: &str| status.refused.as_ref().and_then(|r| r[key].as_str()).unwrap_or_default();
         let (reason, help) = match said("reason") {
             "" => ("PROCESS_NOT_UP", self.logs(name)),
-            // It knows its own flags, and nobody who brings a system up can give those.
+            // The process advises its own flags, which cannot be given to `trocar up`.
             reason @ ("STATE_IN_USE" | "STATE_UNWRITABLE") => (
                 reason,
                 format!("another directory: \"state\" of {name} in the system file, or XDG_STATE_HOME"),
@@ -391,8 +391,8 @@ impl System {
         failure
     }
 
-    /// Its components in order while the GCM is there to know it, then every process, its GCM last. Answers what did not end
-    /// in order, one sentence each.
+    /// Stops its components in order while the GCM is there to do it, then ends every process, its GCM last.
+    /// Returns a sentence for each process that did not end in order.
     pub(super) async fn take_down(&mut self) -> Vec<String> {
         let names = self.names();
         if let (Some(session), true) = (&self.session, self.is_up) {
@@ -422,13 +422,14 @@ impl System {
     }
 }
 
-/// A host that attaches to the GCM there.
+/// Returns a host that attaches to the GCM at this address.
 fn under(mut host: Program, addr: &str) -> Program {
     host.args.extend(["--gcm".into(), addr.into()]);
     host
 }
 
-/// What of these names is listed and not there: said to be gone. One that is there after all is protected by its number.
+/// Returns the processes of these names that are listed and not there, to be reported as gone. A process that
+/// is there after all is protected by its number.
 fn leftovers(listed: &SystemView, names: &[String]) -> Vec<Told> {
     let gone = listed.processes.iter().filter(|p| p.state != "ATTACHED" && names.contains(&p.name));
     let told = gone.filter_map(|p| {

@@ -1,4 +1,4 @@
-//! Which components of a running system have come into trouble, or are out of it again.
+//! Components of a running system that have come into trouble, or are out of it again.
 //!
 //! Invariant: pure; each trouble is told once, and one that comes and goes is told at most once a second.
 
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::standing::Standing;
 use crate::cli::view::ComponentView;
 
-/// How long a hang lasts before people hear of it, and how long between two sentences about one component.
+/// Time that a hang lasts before people hear of it, and time between two sentences about one component.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// One sentence about a component.
@@ -19,12 +19,12 @@ pub(super) struct News {
     pub(super) trouble: Option<String>,
 }
 
-/// What was told of one component.
+/// Sentences said about one component.
 #[derive(Default)]
 struct Told {
     trouble: Option<String>,
     at: Option<Instant>,
-    /// What is to be told next, and since when it is so.
+    /// Trouble to be told next, and the time since when it lasts.
     coming: Option<(Option<String>, Instant)>,
 }
 
@@ -34,13 +34,14 @@ pub(super) struct Ears {
 }
 
 impl Ears {
-    /// What is said already.
+    /// Begins with the present troubles, which are told already.
     pub(super) fn of(standing: &Standing) -> Ears {
         let told = |c: &ComponentView| Told { trouble: trouble(c), ..Told::default() };
         Ears { told: standing.components.iter().map(|(path, c)| (path.clone(), told(c))).collect() }
     }
 
-    /// What is to be told now, and when there is more at the soonest. Of a process that is not there its own end is told.
+    /// Returns the news to be told now, and the earliest time of more. A process that is not there gives
+    /// none: its own end is told.
     pub(super) fn look(&mut self, standing: &Standing, now: Instant) -> (Vec<News>, Option<Instant>) {
         let (mut news, mut next) = (Vec::new(), None);
         if !standing.heard {
@@ -77,7 +78,7 @@ impl Ears {
     }
 }
 
-/// What is wrong with it, when nobody wanted that.
+/// Returns the trouble of a component, unless it was asked for.
 fn trouble(c: &ComponentView) -> Option<String> {
     match (c.state.as_str(), c.health.as_str()) {
         ("FAULT", _) if c.fault.is_empty() => Some("is in FAULT".to_owned()),

@@ -1,4 +1,4 @@
-//! What `up` runs: the processes of a system file, and their GCM, as programs of a supervisor.
+//! Programs that `up` runs under a supervisor: the processes of a system file, and their GCM.
 //!
 //! Invariant: every path is absolute, so a child finds what the file means wherever it is started.
 
@@ -12,10 +12,10 @@ use crate::cli::hosting::{self, PortArgs};
 use crate::processes::{Limits, Policy, Program};
 use crate::system_file::{ProcessSpec, SystemFile, TrustSpec};
 
-/// What the supervisor calls the GCM: no process can be called that.
+/// Supervisor's name of the GCM; no process can have it.
 pub(super) const GCM: &str = ":gcm";
 
-/// Nobody stands still for want of a GCM, so it is never given up, and is soon back.
+/// Limits of the GCM: no process stands still for want of one, so it is never given up, and is soon back.
 const GCM_LIMITS: Limits =
     Limits { max: u32::MAX, most_backoff: Duration::from_millis(200), ..Limits::DEFAULT };
 
@@ -23,7 +23,7 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// What a process printed; `None`: the GCM, which no process can be called.
+/// Returns the file for the output of a process; `None`: of the GCM, whose name no process can have.
 fn output(state: &Path, process: Option<&str>) -> PathBuf {
     absolute(&match process {
         Some(name) => state.join(format!("{name}.output.log")),
@@ -47,10 +47,10 @@ pub(in crate::cli) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program
     }
 }
 
-/// What makes programs of the processes of a file.
+/// Maker of programs from the processes of a file.
 pub(in crate::cli) struct Launch {
     processes: Vec<ProcessSpec>,
-    /// Its paths are relative to this.
+    /// Base of the file's relative paths.
     base: PathBuf,
     plugins: Vec<PathBuf>,
     state: PathBuf,
@@ -58,7 +58,7 @@ pub(in crate::cli) struct Launch {
 }
 
 impl Launch {
-    /// Of a file that lies at `at`; `plugins` instead of its own, when there are any.
+    /// Takes the processes of a file that lies at `at`; `plugins` instead of its own, when there are any.
     pub(in crate::cli) fn new(
         file: &SystemFile,
         at: &Path,
@@ -76,7 +76,8 @@ impl Launch {
         self.processes.iter().map(|process| self.host(process)).collect()
     }
 
-    /// One for an isolated component, made like `home`; `None`: that is no process of the file.
+    /// Returns the program for an isolated component, made like `home`; `None`: `home` is no
+    /// process of the file.
     pub(super) fn apart(&self, process: &Name, home: &Name) -> Option<Program> {
         let home = self.processes.iter().find(|p| p.name == *home)?;
         let component = process.as_str().strip_prefix(home.name.as_str())?.strip_prefix('.')?;

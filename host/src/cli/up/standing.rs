@@ -1,6 +1,6 @@
-//! How a system stands, as its GCM tells it: processes and components, kept up to date over Watch.
+//! State of a system, as its GCM tells it: processes and components, kept up to date over Watch.
 //!
-//! Invariant: nobody asks again and again; a GCM that is gone leaves the last that was known, marked as old, and one that
+//! Invariant: the GCM is not polled. When it is gone, the last known state stays, marked as old; a GCM that
 //! comes back tells everything anew.
 
 use std::collections::BTreeMap;
@@ -14,10 +14,10 @@ use crate::cli::failure::Failure;
 use crate::cli::session::Session;
 use crate::cli::view::{ChangeView, ComponentView, ConnectionView, ProcessView, SystemView};
 
-/// Between two attempts to hear a GCM that does not answer.
+/// Pause between two attempts to hear a GCM that does not answer.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// The last that is known.
+/// The last known state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Standing {
     /// False: the GCM does not answer, and all of this may be old.
@@ -46,7 +46,7 @@ impl Standing {
 }
 
 impl Standing {
-    /// What was just asked of that GCM.
+    /// Takes a fresh answer of List from that GCM.
     pub(super) fn of(term: u64, listed: SystemView) -> Standing {
         let mut standing = Standing::default();
         let SystemView { revision, processes, components, connections } = listed;
@@ -55,12 +55,12 @@ impl Standing {
         standing
     }
 
-    /// The GCM hears this incarnation of a process and has given it what it is to have.
+    /// Tells whether the GCM hears this incarnation of a process, and has given it what it is to have.
     pub(super) fn is_whole(&self, process: &str, pid: u32) -> bool {
         self.heard && self.processes.get(process).is_some_and(|p| p.state == "ATTACHED" && p.pid == pid)
     }
 
-    /// The components of a process.
+    /// Returns the components of a process.
     pub(super) fn within(&self, process: &str) -> impl Iterator<Item = &ComponentView> {
         let prefix = format!("{process}/");
         let from = self.components.range(prefix.clone()..);
@@ -87,7 +87,7 @@ impl Standing {
     }
 }
 
-/// Follows it in the background, for as long as anybody looks.
+/// Follows the state in the background, for as long as there is a receiver.
 pub(super) fn follow(addr: &str) -> (watch::Receiver<Arc<Standing>>, JoinHandle<()>) {
     let (tell, told) = watch::channel(Arc::new(Standing::default()));
     let addr = addr.to_owned();

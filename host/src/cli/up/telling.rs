@@ -1,7 +1,7 @@
-//! What is told of the processes of a system: to its GCM, to people, to scripts.
+//! Reports about the processes of a system: to its GCM, to people, to scripts.
 //!
-//! Invariant: a GCM that comes, or comes back, is told everything anew; a person reads each end of a process once, and whoever
-//! does not read holds up nobody.
+//! Invariant: a GCM that comes, or comes back, is told everything anew. A person reads each end of a process
+//! once, and a reader that does not read holds up nothing.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
@@ -25,12 +25,12 @@ use crate::system_file::SystemFile;
 
 type Statuses = BTreeMap<String, Status>;
 
-/// A GCM may have been restarted by somebody else: it is told this often, whatever happens.
+/// Period of telling the GCM, whatever happens: another program may have restarted it.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Between two attempts to tell a GCM that does not answer.
+/// Pause between two attempts to tell a GCM that does not answer.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// What the GCM is told; `instead` of how they stand, when that is given.
+/// Returns the fates of the processes for the GCM; `instead`, when given, replaces the fate of each one.
 pub(super) fn fates(statuses: &Statuses, instead: Option<Fate>) -> Vec<Told> {
     let told = |(name, status): (&String, &Status)| {
         let fate = match status.phase {
@@ -50,7 +50,7 @@ pub(super) fn fates(statuses: &Statuses, instead: Option<Fate>) -> Vec<Told> {
     statuses.iter().filter(|(name, _)| *name != GCM).filter_map(told).collect()
 }
 
-/// Tells the GCM how the processes stand, now and always, in the background.
+/// Tells the GCM the state of the processes, now and later, in the background.
 pub(super) fn keep_told(addr: &str, mut statuses: watch::Receiver<Statuses>) -> JoinHandle<()> {
     let session = Session::new(Some(addr.to_owned()), false);
     tokio::spawn(async move {
@@ -70,11 +70,11 @@ pub(super) fn keep_told(addr: &str, mut statuses: watch::Receiver<Statuses>) -> 
     })
 }
 
-/// How a system speaks: nobody has to read it, so it is said by a thread that may wait for a reader for ever.
+/// Speech of a system. A thread speaks that may wait for a reader for ever, since nobody has to read.
 pub(in crate::cli) struct Voice {
     name: String,
     json: bool,
-    /// Nobody reads any more once it is up.
+    /// True: nobody reads any more once the system is up.
     quiet: bool,
     mouth: Mouth,
 }
@@ -96,7 +96,7 @@ impl Voice {
         self.line(&out::json(&object.to_string()));
     }
 
-    /// Everything is there; what does not run is named.
+    /// Says that everything is there; components that do not run are named.
     pub(super) fn say_up(&self, up: &Up, statuses: &Statuses, file: &SystemFile) {
         let Up { addr: gcm, warnings, .. } = up;
         let idle = up.idle(file);
@@ -143,7 +143,7 @@ impl Voice {
         self.line("  Ctrl-C takes it down, devices safe first");
     }
 
-    /// What is different.
+    /// Tells the differences.
     pub(super) fn tell(&self, before: &Statuses, now: &Statuses) {
         for (name, status) in now {
             let was = before.get(name).cloned().unwrap_or_default();
@@ -166,7 +166,7 @@ impl Voice {
         }
     }
 
-    /// What did not end in order.
+    /// Names the processes that did not end in order.
     pub(super) fn say_failed(&self, failed: &[String]) {
         if self.json && !self.quiet && !failed.is_empty() {
             return self.object(&json!({ "down": true, "not_in_order": failed }));
@@ -176,7 +176,7 @@ impl Voice {
         }
     }
 
-    /// What became of components.
+    /// Tells the news of components.
     pub(super) fn tell_of(&self, news: &[News]) {
         for News { component: c, trouble } in news {
             if self.json && !self.quiet {
@@ -197,7 +197,7 @@ impl Voice {
     }
 }
 
-/// Lines on their way out. What does not fit is not said.
+/// Lines on their way out. A line that does not fit is dropped.
 struct Mouth {
     lines: Option<SyncSender<(String, bool)>>,
     done: Receiver<()>,
@@ -205,7 +205,7 @@ struct Mouth {
 
 /// Lines that may wait for a reader.
 const WAITING: usize = 256;
-/// How long what was said last may take.
+/// Time that the last lines may take.
 const LAST: Duration = Duration::from_millis(500);
 
 impl Mouth {
@@ -216,17 +216,17 @@ impl Mouth {
             for (line, complains) in heard {
                 out::news(&line, complains);
             }
-            // Whoever waits has gone when this took too long.
+            // The receiver has gone when this took too long.
             let _ = tell.send(());
         };
-        // Without a thread it is dumb.
+        // Without a thread the voice is dumb.
         let _ = house::spawn(std::thread::Builder::new().name("trocar-voice".into()), speak);
         Mouth { lines: Some(lines), done }
     }
 
     fn say(&self, line: String, complains: bool) {
         if let Some(lines) = &self.lines {
-            // Nobody reads as fast as this.
+            // A full queue has a reader that is too slow.
             let _ = lines.try_send((line, complains));
         }
     }
@@ -235,12 +235,12 @@ impl Mouth {
 impl Drop for Mouth {
     fn drop(&mut self) {
         self.lines = None;
-        // A terminal that stands still keeps nobody.
+        // A terminal that stands still does not hold up the end.
         let _ = self.done.recv_timeout(LAST);
     }
 }
 
-/// A sentence for a person; the steps between an end and the next life are none of theirs.
+/// Returns a sentence for a person; the steps between an end and the next start are left out.
 fn said(name: &str, was: &Status, now: &Status) -> Option<String> {
     let (who, exit) = (called(name), now.exit_text());
     match now.phase {

@@ -1,8 +1,8 @@
 //! Processes that live but are of no use: unheard for too long, unfit for anything new, or holding a
 //! component that does not come back.
 //!
-//! Invariant: pure; it is said of one incarnation only, and of what moves something only where its policy
-//! says so.
+//! Invariant: pure; a verdict is on one incarnation only, and on a process that moves something only where
+//! its policy says so.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use super::standing::Standing;
 use crate::processes::{Phase, Status, Unheard};
 
-/// What may be put down.
+/// Process that may be put down, and why.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Verdict {
     pub(super) process: String,
@@ -18,24 +18,24 @@ pub(super) struct Verdict {
     pub(super) why: String,
 }
 
-/// What is wrong with an incarnation of a process.
+/// Reason to put down an incarnation of a process.
 #[derive(Clone, Debug, PartialEq)]
 enum Wrong {
     Lost,
     /// This component does not come back.
     Hangs(String),
-    /// It can do nothing new, and says why.
+    /// The process can do nothing new, and says why.
     Unfit(String),
 }
 
-/// Since when what is wrong is wrong.
+/// Reasons to put processes down, and the times since when they hold.
 #[derive(Default)]
 pub(super) struct Patience {
     since: BTreeMap<String, (u32, Wrong, Instant)>,
 }
 
 impl Patience {
-    /// Those whose time is over, and when the next one's is.
+    /// Returns the processes whose time is over, and the time of the next one.
     pub(super) fn look(
         &mut self,
         statuses: &BTreeMap<String, Status>,
@@ -65,7 +65,7 @@ impl Patience {
     }
 }
 
-/// What was said of this incarnation still holds.
+/// Tells whether a verdict on this incarnation still holds.
 pub(super) fn is_so(standing: &Standing, said: &Verdict) -> bool {
     wrong(standing, &said.process, said.pid).is_some()
 }
@@ -81,7 +81,8 @@ impl Wrong {
     }
 }
 
-/// A GCM that does not answer says nothing about anybody.
+/// Returns the reason to put down this incarnation. A GCM that does not answer says nothing
+/// about any process.
 fn wrong(standing: &Standing, name: &str, pid: u32) -> Option<Wrong> {
     let process = standing.processes.get(name).filter(|p| standing.heard && p.pid == pid)?;
     match process.state.as_str() {

@@ -1,6 +1,7 @@
-//! AttachService, the GCM's half: takes a process in, keeps its lease, and is its LCM for everybody here.
+//! AttachService, the GCM's half: takes a process in, keeps its lease, and is its LCM for all callers here.
 //!
-//! Invariant: a process is heard exactly as long as its stream; when the stream ends, all who wait are answered.
+//! Invariant: a process is heard exactly as long as its stream lasts; when the stream ends, every waiting
+//! caller is answered.
 
 mod remote;
 
@@ -21,12 +22,12 @@ use super::convert;
 use super::status::status;
 use crate::gcm::{Gcm, Registered, Registration, Told};
 
-/// Both sides say this often that they are there.
+/// Interval at which both sides say that they are alive.
 pub(super) const BEAT: Duration = Duration::from_millis(100);
-/// After this many beats of silence the other side is lost. Counted, not measured: a machine that stood still must not
-/// take its own pause for the other's silence.
+/// After this many beats of silence the peer is lost. Beats are counted, not measured: a machine that stood
+/// still must not take its own pause for the peer's silence.
 pub(super) const LEASE: u32 = 5;
-/// Looks for silence in one beat: a process is told lost within half a beat after its lease.
+/// Looks for silence in one beat: a process is reported lost within half a beat after its lease.
 const LOOKS: u32 = 2;
 /// Largest message of an Attach stream, bytes: a Hello describes every class of a process.
 pub(super) const MAX_MESSAGE: usize = 32 << 20;
@@ -95,7 +96,7 @@ impl AttachService for AttachEdge {
             }
             Err(refusal) => attach_response::Message::Refused(convert::refusal_info(&refusal)),
         };
-        // Nobody is there any more: the stream's end says the same.
+        // The receiver may be gone: the stream's end says the same.
         let _ = out.send(Ok(message(first))).await;
         Ok(Response::new(ReceiverStream::new(orders)))
     }
@@ -128,7 +129,7 @@ impl AttachService for AttachEdge {
     async fn tell(&self, request: Request<v1::TellRequest>) -> Result<Response<v1::TellResponse>, Status> {
         let told: Result<Vec<Told>, Refusal> =
             request.into_inner().processes.into_iter().map(convert::told).collect();
-        // All of it is understood, or nothing is entered.
+        // A report is entered only if all of it is understood.
         for told in told.map_err(|refusal| status(&refusal))? {
             self.gcm.told(&told);
         }
@@ -161,7 +162,7 @@ impl Attached {
         let (mut looks, mut silent, mut sequence) = (0, 0, 0);
         let why = loop {
             tokio::select! {
-                // What has arrived counts before the silence does.
+                // Messages that arrived count before the silence does.
                 biased;
                 arrived = inbound.message() => match arrived {
                     Ok(Some(said)) => {
@@ -173,7 +174,8 @@ impl Attached {
                 },
                 _ = open.changed() => break "this port is closing".to_owned(),
                 _ = look.tick() => {
-                    // As by its supervisor, which may be wrong: then it comes back and says so.
+                    // The supervisor may have given the process up by mistake: then it comes back and says
+                    // so.
                     if !self.gcm.hears(&self.process, self.registered.session) {
                         break "it was given up".to_owned();
                     }

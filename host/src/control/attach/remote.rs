@@ -1,8 +1,7 @@
 //! The LCM of an attached process: each call is an order with a number, and waits for the answer with that
 //! number.
 //!
-//! Invariant: no call outlives its deadline or the stream; an order that nobody waits for any more is
-//! forgotten.
+//! Invariant: no call outlives its deadline or the stream; an order without a waiting caller is forgotten.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -25,9 +24,9 @@ use crate::lcm::{
 
 /// Time for questions that name no deadline.
 const WITHIN: Duration = Duration::from_secs(2);
-/// The way back: the other side gets that much less time.
+/// Time for the way back: the process gets that much less time.
 const WAY: Duration = Duration::from_millis(20);
-/// Items that may wait for who follows them.
+/// Items that may wait for their follower.
 const ITEMS: usize = 256;
 /// News that may wait for the GCM.
 const NEWS: usize = 1024;
@@ -46,7 +45,7 @@ struct Link {
 }
 
 enum Waiting {
-    /// With what an order to follow something will fill.
+    /// An order to follow something brings the feed it will fill.
     Answer(oneshot::Sender<A>, Option<Feed>),
     Feed(Feed),
 }
@@ -54,13 +53,13 @@ enum Waiting {
 /// A subscription.
 struct Feed {
     tell: mpsc::Sender<Item>,
-    /// Items lost since the last one that was taken.
+    /// Items lost since the last one that was delivered.
     lost: u64,
-    /// Told when the process has ended it, or never begun; dropped where nobody waits for it here.
+    /// Signals that the process has ended the feed, or never begun it; dropped when the follower is gone.
     over: oneshot::Sender<()>,
 }
 
-/// Forgets an order when nobody waits any more.
+/// Forgets an order when its caller stops waiting.
 struct Forget<'a>(&'a RemoteLcm, u64);
 
 impl Drop for Forget<'_> {
@@ -99,7 +98,7 @@ impl RemoteLcm {
         }
     }
 
-    /// Everybody who waits is told that the process is lost.
+    /// Tells every waiting caller that the process is lost.
     pub(super) fn close(&self) {
         self.link().take();
     }
@@ -130,11 +129,11 @@ impl RemoteLcm {
                     (_, Some(feed)) => feed.end(),
                     (_, None) => {}
                 }
-                // Whoever asked may have given up this moment.
+                // The caller may have given up meanwhile.
                 let _ = tell.send(what);
             }
             (_, Some(Waiting::Feed(feed))) => feed.end(),
-            // Nobody waits for it any more.
+            // No caller waits for it any more.
             (_, None) => {}
         }
     }
@@ -186,8 +185,8 @@ fn lock(link: &Mutex<Option<Link>>) -> MutexGuard<'_, Option<Link>> {
     link.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Gives a feed up as soon as nobody takes from it any more, also one that is only asked for. Its own sender
-/// does not outlive the feed, or the receiver would never end.
+/// Gives a feed up as soon as its follower is gone, also a feed that is only asked for. Its own sender does
+/// not outlive the feed, or the receiver would never end.
 async fn mind(
     link: Arc<Mutex<Option<Link>>>,
     id: u64,
@@ -211,11 +210,11 @@ async fn mind(
 
 impl Feed {
     fn end(self) {
-        // Whoever minds it may have seen that nobody takes from it.
+        // The task that minds the feed may have ended because its receiver is gone.
         let _ = self.over.send(());
     }
 
-    /// What does not fit is counted in the next item that does.
+    /// Gives an item; one that does not fit is counted in the next item that does.
     fn give(&mut self, item: v1::SubscribeResponse) {
         let Ok(mut item) = convert::item_in(item) else {
             self.lost += 1;
@@ -266,7 +265,7 @@ impl Lcm for RemoteLcm {
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
         let (member, after_ns) = (call.member.clone(), call.deadline_ns);
-        // The LCM keeps the deadline of the call; this is for the way there and back.
+        // The LCM keeps the deadline of the call; this time is for the way there and back.
         let deadline = Instant::now() + Duration::from_nanos(after_ns) + 5 * WAY;
         match self.ask(O::Invoke(convert::invoke_out(call)), deadline, "").await {
             Ok(A::Reply(reply)) => Ok(convert::reply_in(reply)),
@@ -416,7 +415,7 @@ mod tests {
         assert_eq!(waiting(&lcm), 0, "after its end");
         answer(&lcm, id, A::Item(v1::SubscribeResponse::default()));
         assert_eq!(waiting(&lcm), 0, "by an item that was under way");
-        // Given up before anybody has answered.
+        // The follower gives up before the answer.
         let following = asked(&lcm);
         let (id, _) = numbered(orders.recv().await.unwrap());
         following.abort();
@@ -424,7 +423,7 @@ mod tests {
         assert_eq!(numbered(orders.recv().await.unwrap()), (0, O::Unsubscribe(id)), "it may have begun");
         answer(&lcm, id, A::Subscribed(v1::Subscribed {}));
         assert_eq!(waiting(&lcm), 0, "of one that nobody waits for");
-        // Refused, and ended by the process: there is nothing to give up.
+        // The process refuses, or ends the feed: there is nothing to give up.
         let following = asked(&lcm);
         let (id, _) = numbered(orders.recv().await.unwrap());
         answer(&lcm, id, A::Refused(convert::refusal_info(&Refusal::lost(name("far")))));

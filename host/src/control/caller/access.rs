@@ -1,7 +1,7 @@
-//! The rights of a caller: to ask everything, or what reads. A list over every method there is.
+//! The rights of a caller: to ask everything, or only reading methods. A list of all methods.
 //!
-//! Invariant: what is not listed changes something, so a method that is new is refused to whoever only reads
-//! until somebody decides.
+//! Invariant: a method that is not listed changes something, so a new method is refused to callers that only
+//! read until it is put on a list.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -55,25 +55,24 @@ pub(in crate::control) struct Access {
     pub(in crate::control) tokens: Option<RuntimeDir>,
     /// A caller cannot fill the log.
     pub(in crate::control) refused: Mutex<Seldom>,
-    /// Requests of callers who only read that are open at once, whoever they are: the host has others to
-    /// hear.
+    /// Places for open requests of callers that only read, all of them together: the host has other callers.
     pub(in crate::control) readers: Arc<Semaphore>,
 }
 
 /// Requests of other users' programs that may be open at once, streams among them.
 pub(in crate::control) const READERS: usize = 64;
 
-/// The caller may ask only what reads; of a method that can do both it may ask only that. Says why.
+/// The caller may only read; a method that can do both may only read for it. Says why.
 #[derive(Clone, Debug)]
 pub(in crate::control) enum OnlyReads {
-    /// A page, and pages only read here.
+    /// A page, where pages only read.
     Page,
-    /// A program of nobody who may do more.
+    /// A program of a user without further rights.
     Caller { who: String, user: u32 },
 }
 
 impl OnlyReads {
-    /// The refusal of `what`, which changes something, to such a caller.
+    /// Returns the refusal of `what`, which changes something, to such a caller.
     pub(in crate::control) fn refusal(&self, what: String) -> Refusal {
         match self {
             OnlyReads::Page => Refusal::ReadOnly { what },
@@ -118,7 +117,7 @@ fn is_same(known: &[u8], sent: &[u8]) -> bool {
     known.len() == sent.len() && known.iter().zip(sent).fold(0, |all, (a, b)| all | (a ^ b)) == 0
 }
 
-/// Stands before everything, pages and services: marks what comes from a caller who only reads.
+/// Stands before everything, pages and services: marks requests of a caller that only reads.
 pub(in crate::control) async fn known(
     State(access): State<Arc<Access>>,
     mut request: Request,
@@ -132,7 +131,7 @@ pub(in crate::control) async fn known(
 }
 
 /// Stands before the services: refuses such a caller every method that is not listed, whatever the request
-/// says of itself. The services ask neither for a verb nor for a kind of content.
+/// says about itself. The services ask neither for a verb nor for a kind of content.
 pub(in crate::control) async fn only_reads(
     State(access): State<Arc<Access>>,
     request: Request,
@@ -187,7 +186,7 @@ mod tests {
     use super::*;
     use crate::control::web::with_page;
 
-    /// Methods that change something; one in neither list is one nobody has decided about.
+    /// Methods that change something; a method in neither list is undecided.
     const CHANGING: [&str; 25] = [
         "/trocar.v1.AttachService/Attach",
         "/trocar.v1.AttachService/Supervise",
@@ -228,7 +227,7 @@ mod tests {
         assert_eq!(judged, all, "say of a new method whether it reads (READING) or changes something");
     }
 
-    /// Asks as a caller nobody knows, in each way the services would answer; the methods that ran.
+    /// Asks as an unknown caller, in each way the services would answer; returns the methods that ran.
     async fn ran(path: &str) -> Vec<String> {
         let mut ran = Vec::new();
         for verb in [Method::POST, Method::GET, Method::PUT] {

@@ -1,7 +1,7 @@
 //! The token that a client sends when it was given one: by `TROCAR_TOKEN`, and only so.
 //!
-//! Invariant: a token is sent to an address only if whoever started the client said so. Sent by itself it
-//! would be told to whatever program happens to listen there.
+//! Invariant: a token is sent to an address only if the user of the client said so. A token sent unasked
+//! would reach whatever program happens to listen there.
 
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
@@ -33,7 +33,7 @@ impl Interceptor for Bearer {
     }
 }
 
-/// `channel`, with the token of the environment, if there is one, in each request.
+/// Returns `channel` with the token of the environment, if there is one, in each request.
 pub(in crate::control) fn with_token(channel: Channel) -> Tokened {
     InterceptedService::new(channel, Bearer::from_env())
 }

@@ -1,7 +1,7 @@
-//! The other end of a connection of the port: who it is, and what that one may ask.
+//! The peer of a connection of the port: its identity, and its rights.
 //!
-//! Invariant: the kernel says who it is; what a caller says of itself counts only as far as it holds the
-//! token of this host's user. A caller nobody knows may read, and nothing else.
+//! Invariant: the kernel identifies the peer; its own words count only as far as it holds the token of this
+//! host's user. An unknown caller may read, and nothing else.
 
 mod access;
 mod bearer;
@@ -18,7 +18,7 @@ pub(super) use self::access::{Access, OnlyReads, READERS, known, only_reads};
 pub use self::bearer::Tokened;
 pub(super) use self::bearer::with_token;
 
-/// The other end of a connection. Every request that comes over it carries one.
+/// The peer of a connection. Every request on the connection carries one.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
     from: From,

@@ -1,9 +1,8 @@
-//! The user whose program is at the other end of a TCP connection of this machine: the kernel knows, and is
-//! asked.
+//! The user whose program is the peer of a TCP connection of this machine: the kernel knows, and is asked.
 //!
-//! Invariant: a user is told only of a socket that is in use now and stayed in use while it was asked about.
-//! A socket that its program has closed belongs to nobody (the kernel then says user 0), and a connection
-//! that was reset leaves its two addresses to whoever comes next.
+//! Invariant: a user is returned only for a socket that is in use now and stayed in use during the question.
+//! A socket that its program has closed belongs to nobody (the kernel then says user 0), and after a reset
+//! the next connection may have the same two addresses.
 
 use std::io;
 use std::net::SocketAddr;
@@ -24,7 +23,7 @@ const ANSWER: usize = 4096;
 /// A kernel that takes the question answers it before `send` comes back.
 const AT_ONCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 
-/// The user whose program holds the other end of `stream`.
+/// Returns the user whose program holds the remote end of `stream`.
 ///
 /// # Errors
 /// The kernel answers no such questions here, or the caller has gone meanwhile.

@@ -1,6 +1,7 @@
-//! What an LCM answers and tells, both ways: replies, samples, items, log lines, figures, plugins.
+//! Answers and reports of an LCM, both ways: replies, samples, items, log lines, figures, plugins.
 //!
-//! Invariant: what is encoded here decodes to an equal value, but for numbers, which are doubles in JSON values.
+//! Invariant: decoding gives a value equal to the encoded one, except for numbers, which are doubles in JSON
+//! values.
 
 use trocar_model::{End, Name, Proxy, Refusal, Wake};
 use trocar_proto::v1;
@@ -15,7 +16,7 @@ use crate::lcm::{
 /// Level names; 1 is the first.
 const LEVELS: [&str; 5] = ["error", "warn", "info", "debug", "trace"];
 
-/// 1 error … 5 trace; nothing said is info.
+/// 1 error … 5 trace; an empty text is info.
 pub(crate) fn level(text: &str) -> Option<u32> {
     if text.is_empty() {
         return Some(3);

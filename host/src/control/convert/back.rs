@@ -1,4 +1,4 @@
-//! Types, ports, classes and states: wire → model, for what another process says of itself.
+//! Types, ports, classes and states: wire → model, for another process's report about itself.
 //!
 //! Invariant: undoes `types.rs`; a description that cannot be read is refused as a whole, never guessed.
 
@@ -14,7 +14,7 @@ use super::requests::execution;
 /// Deepest nesting of a type that is read.
 const DEPTH: usize = 32;
 
-/// What was said cannot be read.
+/// Returns the refusal for a message of the peer that cannot be read.
 pub(crate) fn unreadable(what: &str) -> Refusal {
     Refusal::ArgumentInvalid {
         what: "what the other process said".into(),

@@ -1,6 +1,7 @@
-//! Changes, slices and inventories, both ways: what crosses an Attach stream about components and connections.
+//! Changes, slices and inventories, both ways: everything about components and connections that crosses an
+//! Attach stream.
 //!
-//! Invariant: what is encoded here decodes to an equal value; configurations cross as exact JSON text.
+//! Invariant: decoding gives a value equal to the encoded one; configurations cross as exact JSON text.
 
 use std::sync::Arc;
 

@@ -33,7 +33,7 @@ pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
     }
 }
 
-/// What a supervisor tells of a process.
+/// Decodes a supervisor's report about a process.
 pub(crate) fn told(fate: v1::ProcessFate) -> Result<Told, Refusal> {
     let process = Name::parse(&fate.process)?;
     let what = match fate.fate() {
@@ -52,7 +52,7 @@ pub(crate) fn told(fate: v1::ProcessFate) -> Result<Told, Refusal> {
     Ok(Told { process, fate: what, pid, last_exit, restarts })
 }
 
-/// A supervisor that asks what is wanted of it.
+/// Decodes a supervisor's request for its orders.
 pub(crate) fn supervisor(r: v1::SuperviseRequest) -> Result<Supervisor, Refusal> {
     let apart = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
@@ -64,7 +64,7 @@ pub(crate) fn supervisor(r: v1::SuperviseRequest) -> Result<Supervisor, Refusal>
     })
 }
 
-/// What is wanted of a supervisor.
+/// Encodes the GCM's orders for a supervisor.
 pub(crate) fn wanted(term: u64, wanted: Wanted) -> v1::SuperviseResponse {
     let one = |a: Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseResponse {
@@ -119,7 +119,7 @@ pub(crate) struct Figures {
     pub(crate) warnings: Vec<String>,
 }
 
-/// What of the graph is in `part`.
+/// Returns the answer of List for `part` of the graph.
 pub(crate) fn list(
     graph: &SystemGraph,
     part: &SystemGraph,

@@ -1,4 +1,4 @@
-//! Refusals by their values, so that a caller far away gets the same sentence, code and help as one in this process.
+//! Refusals by their values, so that a remote caller gets the same sentence, code and help as a local one.
 //!
 //! Invariant: the list below names every refusal with every field (it does not compile otherwise).
 

@@ -9,7 +9,7 @@ use trocar_proto::v1;
 
 use super::json::{duration_ns, from_struct};
 
-/// What every mutating request carries.
+/// Fields of every mutating request.
 pub(crate) struct Common {
     pub(crate) validate_only: bool,
     pub(crate) request_id: String,
@@ -108,7 +108,7 @@ pub(crate) fn forget(r: v1::ForgetRequest) -> Result<Request, Refusal> {
     Ok(Request::Forget { process: Name::parse(&r.process)? })
 }
 
-/// The steps of an Apply; none is a mistake of whoever made them.
+/// The steps of an Apply; an empty list is a mistake of its author.
 pub(crate) fn steps(steps: Vec<v1::Step>) -> Result<Vec<Request>, Refusal> {
     if steps.is_empty() {
         let why = "it has no step: give at least one of create, connect, start, …";
@@ -176,7 +176,7 @@ pub(crate) fn execution(e: v1::Execution) -> Result<Execution, Refusal> {
     })
 }
 
-/// The period of a rate, ns; what is outside the limits is told as the rate it was given as.
+/// The period of a rate, ns; a refusal names the rate as it was given.
 fn period_of(rate_hz: f64) -> Result<u64, Refusal> {
     let wrong = |why: &str| {
         let readable = rate_hz == 0.0 || !rate_hz.is_finite() || (1e-6..1e15).contains(&rate_hz.abs());
@@ -194,7 +194,7 @@ fn period_of(rate_hz: f64) -> Result<u64, Refusal> {
     }
 }
 
-/// One of several names; "" = not said.
+/// One of several names; "" = not given.
 fn named<T: Copy, const N: usize>(
     text: &str,
     field: &str,

@@ -1,8 +1,8 @@
-//! A connection of the port: its bytes, and whether its caller has said anything yet.
+//! A connection of the port: its bytes, and whether its caller has asked anything yet.
 //!
-//! Invariant: a caller that does not ask within [`PATIENCE`] is let go, as is one that gives its place to
-//! another; a caller that has asked once keeps its connection, whatever it does then. To open HTTP/2 asks
-//! nothing.
+//! Invariant: a caller that does not ask within [`PATIENCE`] is let go, as is a caller that gives its place
+//! to another; a caller that has asked once keeps its connection, whatever it does then. Opening HTTP/2 does
+//! not count as asking.
 
 use std::io::{self, IoSlice};
 use std::pin::{Pin, pin};
@@ -18,7 +18,7 @@ use trocar_rt::os::{Unshared, unshared};
 use super::seats::Seat;
 use crate::control::caller::Peer;
 
-/// Time a caller has to say what it wants.
+/// Time a caller has for its first request.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 
 /// The ways to a port.
@@ -36,7 +36,7 @@ pub(in crate::control) struct Connection {
     stream: Stream,
     peer: Peer,
     seat: Seat,
-    /// The first question as far as it has come, and until when it is waited for; `None` once it has asked.
+    /// The first request as far as it has come, and the time limit for it; `None` once it has come.
     silence: Option<(Head, Pin<Box<Sleep>>)>,
 }
 
@@ -77,7 +77,7 @@ impl AsyncRead for Connection {
             return read;
         }
         if patience.as_mut().poll(cx).is_ready() || this.seat.poll_given_up(cx).is_ready() {
-            // The end of what it says, as if it had closed its end.
+            // The caller's bytes end here, as if it had closed its end.
             return Poll::Ready(Ok(()));
         }
         Poll::Pending
@@ -125,7 +125,7 @@ impl AsyncWrite for Connection {
     }
 }
 
-/// The head of a first question as far as it has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a
+/// The head of a first request as far as it has come. HTTP/1 ends it by an empty line; HTTP/2 opens with a
 /// fixed text, which asks nothing yet, and ends it in a frame.
 #[derive(Debug, Default)]
 struct Head {
@@ -177,7 +177,7 @@ const CONTINUATION: u8 = 9;
 const END_HEADERS: u8 = 4;
 
 impl Frames {
-    /// True when the headers of a request have ended in what is heard.
+    /// Returns true when the headers of a request have ended in these bytes.
     fn hear(&mut self, mut said: &[u8]) -> bool {
         while let Some((byte, rest)) = said.split_first() {
             if let Some(place) = self.head.get_mut(self.heard) {

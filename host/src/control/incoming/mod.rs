@@ -31,19 +31,20 @@ use crate::runtime_dir::Placed;
 const PAUSE: Duration = Duration::from_millis(100);
 /// Pause until a caller that was let go has closed its file.
 const TURN: Duration = Duration::from_millis(1);
-/// Files that are opened early, so that this many callers of a socket can be let in where there is none left.
+/// Files that are opened early, so that this many callers of a socket can be let in when no other file is
+/// left.
 const SPARE: usize = 4;
 
-/// The socket that is listened at.
+/// The listening socket.
 enum Listener {
     Tcp(TcpListener),
     /// Files that give way to callers.
     Unix(Placed, Vec<File>),
 }
 
-/// Connections without Nagle's delay. Where there is no file or no memory for one, its caller waits in the
-/// kernel's queue and is let in as soon as there is: to hang up on it would tell it nothing either, and cost
-/// it the call.
+/// Connections without Nagle's delay. Without a file or memory for a connection, its caller waits in the
+/// kernel's queue and is let in as soon as there is one: to hang up would tell the caller nothing either, and
+/// cost it the call.
 pub(super) struct Incoming {
     _unshared: Option<Unshared>,
     listener: Listener,
@@ -80,7 +81,7 @@ impl Incoming {
         Incoming { _unshared, listener, user, seats, held: None, pause: None, nobody, guests, own }
     }
 
-    /// Opens the spare files anew, as far as there are some.
+    /// Opens the spare files anew, as far as possible.
     fn provide(&mut self) {
         let Listener::Unix(_, spare) = &mut self.listener else { return };
         while spare.len() < SPARE
@@ -110,7 +111,7 @@ impl Incoming {
         let peer = match peer {
             Ok(peer) => peer,
             Err(e) => {
-                // A caller is judged when there is a file to ask the kernel by, and not as somebody else
+                // A caller is judged when there is a file for asking the kernel, and not as another user
                 // before.
                 self.held = is_short_of_files(&e).then_some(stream);
                 return Poll::Ready(Err(e));
@@ -122,7 +123,7 @@ impl Incoming {
         Poll::Ready(Ok((Stream::Tcp(stream), peer)))
     }
 
-    /// Waits until a caller that has said nothing has given way, or for better times.
+    /// Waits until a silent caller has given way, or for better times.
     fn wait(&mut self, e: &io::Error) {
         let somebody_went = is_short_of_files(e) && self.seats.give_up_one();
         if !somebody_went {

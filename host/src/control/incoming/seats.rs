@@ -1,7 +1,7 @@
-//! Places of the port: how many callers may be there, and who gives way when files run short.
+//! Places of the port: how many callers it takes, and who gives way when files run short.
 //!
-//! Invariant: the last [`KEPT`] files a process may open are not for callers of its TCP port; the host's
-//! user's programs have at most [`OWN`] connections, all other users' [`GUESTS`]. A caller that has said
+//! Invariant: the last [`KEPT`] files a process may open are not for callers of its TCP port; programs of the
+//! host's user have at most [`OWN`] connections, those of all other users [`GUESTS`]. A caller that has asked
 //! something never gives way.
 
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use tokio::sync::oneshot;
 const KEPT: u64 = 64;
 /// Connections of all other users' programs.
 const GUESTS: usize = 64;
-/// Connections of the programs of one other user: nobody takes the places of the rest.
+/// Connections of the programs of one other user: no user takes the places of the rest.
 pub(super) const OF_ONE: usize = 16;
 
 /// Connections of the programs of the host's own user, at one port or socket: a program that opens them
@@ -60,13 +60,13 @@ enum Life {
     /// Silent: it may have to give way.
     Silent(oneshot::Receiver<()>),
     Speaks,
-    /// It has to go.
+    /// The connection has to go.
     GivenUp,
 }
 
 impl Seats {
-    /// A place, if there is one for such a caller; `guest`: another user, whose places are counted apart.
-    /// If the host's own user has none left, one of its own callers that have said nothing yet gives way.
+    /// Takes a place, if there is one for such a caller; `guest`: another user, whose places are counted
+    /// apart. If the host's own user has none left, one of its own silent callers gives way.
     pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
         if let Some(user) = guest {
             let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);
@@ -91,7 +91,7 @@ impl Seats {
         self.silent().pop_first().is_some()
     }
 
-    /// The same among callers of the host's own user: others have places of their own.
+    /// The same among callers of the host's own user: other users have places of their own.
     fn give_up_an_own_one(&self) -> bool {
         let mut silent = self.silent();
         let first = silent.iter().find(|(_, caller)| !caller.is_guest).map(|(number, _)| *number);
@@ -104,7 +104,7 @@ impl Seats {
 }
 
 impl Seat {
-    /// From now on it keeps its place.
+    /// Marks that the caller keeps its place from now on.
     pub(super) fn speaks(&mut self) {
         self.life = Life::Speaks;
         self.seats.silent().remove(&self.number);
@@ -139,7 +139,8 @@ impl Drop for Seat {
     }
 }
 
-/// True for one of the last files this process may open. The kernel gives out the lowest number that is free.
+/// Tells whether `file` is one of the last files this process may open. The kernel gives out the lowest
+/// number that is free.
 pub(super) fn is_of_the_last(file: i32) -> bool {
     let most = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
     u64::try_from(file).is_ok_and(|file| is_last_of(most, file))

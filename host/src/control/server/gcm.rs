@@ -52,7 +52,8 @@ macro_rules! mutate {
     }};
 }
 
-/// The asker: a component of this process, a user at an address, or a host there for one of its components.
+/// Returns the caller: a component of this process, a user at an address, or a host for one of its
+/// components.
 pub(super) fn identity<T>(request: &Request<T>) -> String {
     if let Some(Caller(path)) = request.extensions().get() {
         return path.clone();
@@ -70,7 +71,7 @@ pub(super) fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {
     skipped.map(|s| v1::SkippedComponent { path: s.id.to_string(), why: s.why.clone() }).collect()
 }
 
-/// The state of each component that is there in the end, once each; its ports are for Describe.
+/// Returns the state of each component that exists in the end, once each; ports are for Describe.
 pub(super) fn told(done: &Executed) -> Vec<v1::ComponentReport> {
     let mut out: Vec<v1::ComponentReport> = Vec::with_capacity(done.reports.len());
     let mut gone = BTreeSet::new();

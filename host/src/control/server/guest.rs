@@ -1,4 +1,4 @@
-//! GuestService: places in the graph for those that call from outside, and components that end with a caller.
+//! GuestService: places in the graph for outside callers, and components that end with a caller.
 //!
 //! Invariant: a guest's place lasts exactly as long as its Join stream, and a held component no longer than
 //! its Hold stream, unless this port closes first.
@@ -16,9 +16,9 @@ use crate::control::convert;
 use crate::control::deadline::{deadline, room};
 use crate::gcm::{ExecuteOptions, Guest};
 
-/// Name of a guest's component that wants no other.
+/// Name of a guest's component when the guest wants no other.
 const COMPONENT: &str = "shell";
-/// Longest that is kept of what a guest says it is, characters.
+/// Longest description of a guest that is kept, characters.
 const PROGRAM: usize = 120;
 
 #[tonic::async_trait]
@@ -36,7 +36,7 @@ impl GuestService for Edge {
             term: joined.registered.term,
         };
         tokio::spawn(async move {
-            // Who is gone already is seen next.
+            // A guest that is gone already is noticed next.
             let _ = tell.send(Ok(first)).await;
             tokio::select! {
                 () = tell.closed() => {}

@@ -1,4 +1,4 @@
-//! InteractService: calls, reads, what is followed, logs.
+//! InteractService: calls, reads, subscriptions, logs.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -59,7 +59,7 @@ impl Edge {
         let arg = convert::payload(r.json, r.encoded);
         let lcm = self.lcm(&member.port.component.process).map_err(refuse)?;
         let call = Invoke { member: member.clone(), arg, send: r.send, deadline_ns };
-        // The LCM keeps the deadline itself; this is for one that does not answer at all.
+        // The LCM keeps the deadline itself; this time is for an LCM that does not answer at all.
         let patience = Duration::from_nanos(deadline_ns) + room * 3 / 4;
         let process = member.port.component.process.clone();
         let reply = tokio::time::timeout(patience, lcm.invoke(call))
@@ -68,7 +68,7 @@ impl Edge {
         match reply {
             Ok(reply) => Ok(convert::reply(reply)),
             Err(refusal) => {
-                // Who is told that a command panicked finds the component in FAULT.
+                // A caller that is told of a panicked command then finds the component in FAULT.
                 if let Some(gcm) = &self.gcm {
                     gcm.hear_out(&process).await;
                 }

@@ -1,6 +1,7 @@
-//! List: the graph or a part of it, at once, or as soon as it is otherwise than the caller knows it.
+//! List: the graph or a part of it, at once, or as soon as it differs from what the caller knows.
 //!
-//! Invariant: an etag depends on what is listed alone, so a caller that asks again with it misses no change, only states between.
+//! Invariant: an etag depends on the listed content alone, so a caller that asks again with it misses no
+//! change, only states between.
 
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
@@ -18,7 +19,7 @@ use super::refuse;
 use super::standing::Places;
 use crate::control::convert::{self, Figures};
 
-/// What is listed.
+/// Content of an answer.
 pub(super) struct Listed {
     pub(super) whole: Arc<SystemGraph>,
     /// The part of it that was asked for.
@@ -26,10 +27,11 @@ pub(super) struct Listed {
     pub(super) etag: String,
 }
 
-/// What `request` names; where it has an etag, once that is another one, or what there is at `until`, or when the port closes.
+/// Returns what `request` names. With an etag it first waits until the etag differs, until `until`, or until
+/// the port closes.
 ///
 /// # Errors
-/// There is nothing of that name, or as many wait already as may.
+/// Nothing has that name, or the maximum number of calls waits already.
 pub(super) async fn listed(
     mut graphs: watch::Receiver<Arc<SystemGraph>>,
     request: &v1::ListRequest,
@@ -67,7 +69,7 @@ fn part(whole: &SystemGraph, path: &str) -> Result<SystemGraph, Refusal> {
     Ok(part)
 }
 
-/// Of what is listed and not of its revision: what was accepted and changed nothing is no other graph.
+/// Hashes the listed content without its revision: an accepted change without effect makes no other graph.
 fn etag(whole: &SystemGraph, part: &SystemGraph) -> String {
     let listed = convert::list(whole, part, 0, &Figures::default());
     let listed = v1::ListResponse { revision: 0, ..listed };

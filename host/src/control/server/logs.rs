@@ -1,4 +1,4 @@
-//! Log lines: those kept, then, for who follows, those that come.
+//! Log lines: first the kept ones, then, for followers, the new ones.
 
 use tokio::sync::{OwnedSemaphorePermit, broadcast, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
@@ -51,7 +51,7 @@ impl Wanted {
         Ok(Wanted { place, level })
     }
 
-    /// Somebody who is, or who was and left a line, can be meant.
+    /// Refuses the name of a process or component that neither exists nor has left a line.
     pub(super) fn names_somebody(&self, graph: Option<&SystemGraph>, lines: &Lines) -> Result<(), Refusal> {
         let (Place::At(place), Some(graph)) = (&self.place, graph) else { return Ok(()) };
         if lines.tail().0.iter().any(|line| self.comes_from(line)) {
@@ -91,7 +91,7 @@ impl Wanted {
     }
 }
 
-/// The stream of lines, of those kept the `last` ones, 0 = all. It ends after those, unless it follows, for
+/// The stream of lines: of the kept ones the `last`, 0 = all. It ends after those, unless it follows, for
 /// which it has a place.
 pub(super) fn stream(
     lines: &Lines,

@@ -49,13 +49,13 @@ pub(super) struct Edge {
     pub(super) local: Option<(Name, Arc<dyn Lcm>)>,
     /// Address of the GCM that manages this process.
     pub(super) managed_by: Option<String>,
-    /// What was logged here: by every process of a GCM, by this one otherwise.
+    /// Log lines kept here: of every process on a GCM, of this process otherwise.
     pub(super) lines: Arc<Lines>,
-    /// One permit for each output or event that may still be followed here.
+    /// One permit for each output or event that can still be followed here.
     pub(super) followed: Arc<Semaphore>,
-    /// The calls that may still stay open here.
+    /// Places for calls that stay open here.
     pub(super) standing: Arc<Standing>,
-    /// Its sender goes when this port closes: calls that wait for something end then.
+    /// Closes when this port closes: calls that wait for something end then.
     pub(super) closing: Receiver<()>,
 }
 
@@ -87,7 +87,7 @@ impl Edge {
         let Some(limit) = extensions.get::<OnlyReads>() else { return Ok(()) };
         let (id, port, member) = part::split(path)?;
         let refused = || limit.refusal(path.to_owned());
-        // Without a graph nobody here knows what a command does.
+        // Without a graph the effect of a command is unknown here.
         let graph = self.gcm.as_ref().map(Gcm::graph).ok_or_else(refused)?;
         let Some(component) = graph.components.get(&id) else {
             let known = graph.components.keys().cloned().collect();
@@ -107,9 +107,9 @@ impl Edge {
         }
     }
 
-    /// Live figures of these components and connections; what cannot be had in time is a warning, not a
-    /// failure. No process is asked that has none of them, and those that are, side by side: a silent one
-    /// costs the others nothing.
+    /// Returns the live figures of these components and connections; figures that do not come in time are a
+    /// warning, not a failure. Only processes that have some of them are asked, all at the same time: a
+    /// silent one costs the others nothing.
     async fn figures(&self, ids: &[ComponentId], shown: &[&Connection], deadline: Instant) -> Figures {
         let deadline = deadline.min(Instant::now() + FIGURES);
         let mut asking = JoinSet::new();
@@ -134,7 +134,7 @@ impl Edge {
                 Ok(Ok((details, links))) => {
                     figures.details.extend(details);
                     for link in links {
-                        // The other half of it.
+                        // The connection's other half.
                         let link = match figures.links.remove(&link.connection) {
                             Some(half) => half.merged(link),
                             None => link,

@@ -1,7 +1,7 @@
 //! Pages: an answer of List, or news of Watch, in parts of a size the caller chose.
 //!
-//! Invariant: a page begins behind the last name of the one before, so that whatever is there all the time is
-//! on one of them, also when the graph changes between two.
+//! Invariant: a page begins behind the last name of the previous one, so that everything that exists all the
+//! time is on one of them, also when the graph changes between two pages.
 
 use std::collections::BTreeSet;
 use std::collections::hash_map::DefaultHasher;
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use trocar_model::{ClassInfo, Refusal, SystemGraph};
 use trocar_proto::v1;
 
-/// Everything that is listed, in its order.
+/// All listed things, in their order.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 enum Place {
     Process(String),
@@ -27,7 +27,7 @@ enum Place {
 pub(super) struct Pages {
     size: usize,
     after: Option<Place>,
-    /// Hash of what is asked.
+    /// Hash of the request.
     of: u64,
 }
 
@@ -95,7 +95,7 @@ fn of_class(class: &ClassInfo) -> Place {
     Place::Class(class.full_name(), class.hash.clone())
 }
 
-/// In letters that nobody has to quote.
+/// Spells the place in letters that need no quotes.
 fn token(of: u64, last: &Place) -> String {
     // Plain data always has a JSON.
     let json = serde_json::to_vec(&(of, last)).unwrap_or_default();

@@ -1,12 +1,13 @@
 //! The part of a system, or of a component's ports, that a path names.
 //!
-//! Invariant: a name that is not there is refused with those that are, never answered with nothing.
+//! Invariant: an unknown name is refused with the known ones, never answered with nothing.
 
 use std::collections::BTreeSet;
 
 use trocar_model::{ComponentId, MemberId, Name, Pattern, PortId, Ports, Refusal, SystemGraph, Target};
 
-/// Leaves only the named process, component, or what a glob matches, with the processes that hold it.
+/// Leaves only the named process or component, or everything that a glob matches, with the processes that
+/// hold it.
 pub(super) fn keep_only(graph: &mut SystemGraph, path: &str) -> Result<(), Refusal> {
     if !path.contains(['/', '*']) {
         let name = Name::parse(path)?;

@@ -1,8 +1,8 @@
-//! Stop at the port of a host whose GCM is elsewhere: what moves here is stopped here, whether that GCM
-//! answers or not.
+//! Stop at the port of a host whose GCM is in another process: components of this process are stopped here,
+//! whether that GCM answers or not.
 //!
-//! Invariant: it only ever stops. The GCM, if there is one, hears of it as of whatever a component does by
-//! itself.
+//! Invariant: this path only ever stops. The GCM, if there is one, hears of it like of anything a component
+//! does by itself.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::control::convert;
 use crate::control::deadline::{deadline, room};
 use crate::lcm::{Lcm, Report, stop_active};
 
-/// Stops what the request names of `process`.
+/// Stops the components of `process` that the request names.
 ///
 /// # Errors
 /// The paths name nothing here; the LCM does not answer.

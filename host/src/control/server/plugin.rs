@@ -1,4 +1,4 @@
-//! PluginService: what the directories of all processes hold.
+//! PluginService: the content of the directories of all processes.
 
 use tonic::{Request, Response, Status};
 use trocar_model::{Name, Refusal};
@@ -12,8 +12,8 @@ use crate::control::deadline::{deadline, room};
 use crate::lcm::PluginInfo;
 
 impl Edge {
-    /// Plugins of one process, or of all, those called `again` after another look at them; processes that do
-    /// not answer are warnings when all were asked.
+    /// Returns the plugins of one process, or of all; those called `again` are looked at again first.
+    /// Processes that do not answer are warnings when all were asked.
     pub(super) async fn plugins(
         &self,
         process: &str,
@@ -24,7 +24,7 @@ impl Edge {
             if process.is_empty() { self.processes() } else { vec![Name::parse(process).map_err(refuse)?] };
         let until = until - room(until);
         let (mut plugins, mut warnings) = (Vec::new(), Vec::new());
-        // All at once: one that hangs keeps nobody else's answer.
+        // All are asked at once: a process that hangs delays no other answer.
         let asked = processes.into_iter().map(|name| {
             let (lcm, again) = (self.lcm(&name), again.map(str::to_owned));
             tokio::spawn(async move {

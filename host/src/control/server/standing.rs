@@ -1,6 +1,6 @@
 //! Calls that stay open until something happens: how many of each kind a port serves at a time.
 //!
-//! Invariant: a call has its place before the first thing it costs, and gives it back however it ends.
+//! Invariant: a call has its place before its first cost, and gives it back however it ends.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -9,9 +9,8 @@ use tonic::Status;
 use trocar_links::Seldom;
 use trocar_rt::os::now_ns;
 
-/// Most calls of one kind that a port serves at a time. Each is told of every change, or of every line, by a
-/// task and messages of its own, so that without a bound one program that opens them without end takes the
-/// memory of all.
+/// Most calls of one kind that a port serves at a time. Each has a task and messages of its own for every
+/// change, or every line, so without a bound one program that opens them without end takes the memory of all.
 pub(in crate::control) const STANDING: usize = 256;
 
 /// The places of each kind.

@@ -1,7 +1,7 @@
 //! Apply of a whole system file, and Save.
 //!
-//! Invariant: what a file says is understood by `system_file`, here it is only passed on; a process that does
-//! not tell its plugin directories keeps nobody waiting beyond the deadline.
+//! Invariant: `system_file` understands the file's content, which is only passed on here; a process that does
+//! not tell its plugin directories delays nobody beyond the deadline.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -55,7 +55,7 @@ impl Edge {
         let (plugins, _) = self.plugins("", None, until).await?;
         let mut dirs: BTreeMap<Name, BTreeSet<PathBuf>> = BTreeMap::new();
         for plugin in plugins {
-            // One that is linked into a program has no file.
+            // A plugin that is linked into a program has no file.
             let dir = Path::new(&plugin.file).parent().filter(|dir| !dir.as_os_str().is_empty());
             if let (Ok(process), Some(dir)) = (plugin.process.parse(), dir) {
                 dirs.entry(process).or_default().insert(dir.to_owned());

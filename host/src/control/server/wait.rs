@@ -1,6 +1,6 @@
 //! WaitFor: until a component is in a state, or until it sends an event.
 //!
-//! Invariant: what is called for an event is called after the event is listened for.
+//! Invariant: the call that is to cause the event is made after this request listens for the event.
 
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ use crate::control::convert;
 use crate::control::deadline::{CAP, callers, deadline, room};
 use crate::lcm::Item;
 
-/// What a WaitFor asks for.
+/// Condition and deadline of a WaitFor.
 pub(super) struct Wait {
     pub(super) what: Awaited,
     pub(super) until: Instant,
@@ -21,13 +21,13 @@ pub(super) struct Wait {
 
 pub(super) enum Awaited {
     States(ComponentId, Vec<State>),
-    /// With what is called once it is listened for.
+    /// With the call that is made once this request listens for the event.
     Event(MemberId, Option<v1::InvokeRequest>),
 }
 
 impl Wait {
     /// # Errors
-    /// BadPath; ArgumentInvalid for a negative deadline, and for what does not belong together.
+    /// BadPath; ArgumentInvalid for a negative deadline, and for fields that do not belong together.
     pub(super) fn read(request: Request<v1::WaitForRequest>) -> Result<Wait, Refusal> {
         let invalid = |field: &str, why: &str| Refusal::ArgumentInvalid {
             what: field.into(),

@@ -1,6 +1,7 @@
-//! Watch: a snapshot, then what changed between one state of the graph and the next.
+//! Watch: a snapshot, then the changes between one state of the graph and the next.
 //!
-//! Invariant: the difference is a pure function of two graphs; a slow watcher misses states between, never a change.
+//! Invariant: the difference is a pure function of two graphs; a slow watcher misses states between, never a
+//! change.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -45,7 +46,7 @@ pub(super) fn watch(
                 changed = graphs.changed() => if changed.is_err() { return },
             }
             let now = graphs.borrow_and_update().clone();
-            // An accepted change is told by its revision even when the news of it came before.
+            // The revision reports an accepted change even when the news of it came before.
             let changed = delta(&seen, &now);
             if changed.is_some() || now.revision != seen.revision {
                 for delta in page::deltas(changed.unwrap_or_default(), size) {
@@ -89,7 +90,7 @@ fn delta(before: &SystemGraph, after: &SystemGraph) -> Option<v1::Delta> {
     (delta != v1::Delta::default()).then_some(delta)
 }
 
-/// Those that are other than they were, or whose halves stand differently.
+/// Returns the connections that changed, or whose halves changed.
 fn connections<'a>(before: &'a SystemGraph, after: &'a SystemGraph) -> impl Iterator<Item = &'a Connection> {
     let same = |c: &&Connection| {
         before.connections.get(&c.id) == Some(c) && before.proxies_of(c) == after.proxies_of(c)

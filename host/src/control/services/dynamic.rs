@@ -1,7 +1,8 @@
-//! Any unary call of the GCM service, and Load and Unload, by name, with messages that are known by their descriptors only.
+//! Any unary call of the GCM service, and Load and Unload, by name; their messages are known by their
+//! descriptors only.
 //!
-//! Invariant: JSON here is the proto3 mapping, so field names, enum words and 64-bit numbers are those grpcurl shows; a
-//! field that does not exist is refused, never ignored.
+//! Invariant: JSON here is the proto3 mapping, so field names, enum words and 64-bit numbers are those
+//! grpcurl shows; a field that does not exist is refused, never ignored.
 
 use std::sync::OnceLock;
 
@@ -17,7 +18,7 @@ use trocar_model::Refusal;
 use trocar_proto::FILE_DESCRIPTOR_SET;
 
 const SERVICE: &str = "trocar.v1.GcmService";
-/// Has what is done to plugins.
+/// The service with the methods on plugins.
 const PLUGINS: &str = "trocar.v1.PluginService";
 /// The methods of `PLUGINS` a component may ask for.
 const OF_PLUGINS: [&str; 2] = ["Load", "Unload"];
@@ -56,7 +57,7 @@ impl Rpc {
         }
     }
 
-    /// It is a method of the plugin service.
+    /// Tells whether this is a method of the plugin service.
     pub(super) fn of_plugins(&self) -> bool {
         self.0.parent_service().full_name() == PLUGINS
     }
@@ -74,7 +75,7 @@ impl Rpc {
     /// Calls it.
     ///
     /// # Errors
-    /// The status the service gives, or that of a way that does not lead there.
+    /// The status of the service, or that of a connection that fails.
     pub(super) async fn ask<T>(&self, mut grpc: Grpc<T>, request: Request<Dynamic>) -> Result<Dynamic, Status>
     where
         T: GrpcService<tonic::body::Body>,

@@ -1,7 +1,7 @@
-//! Requests of components, carried out as anybody's: through the GCM service, here or in another process.
+//! Requests of components, carried out like anybody's: through the GCM service, here or in another process.
 //!
-//! Invariant: nothing is checked, decided or logged here that the GCM service would not do for grpcurl; only the caller is
-//! another, and JSON stands where the wire has protobuf.
+//! Invariant: nothing is checked, decided or logged here that the GCM service would not do for grpcurl; only
+//! the caller differs, and JSON takes the place of protobuf.
 
 mod dynamic;
 
@@ -27,11 +27,11 @@ use super::status::{code_name, status};
 use crate::gcm::Gcm;
 use crate::lcm::{ReplyTo, Services};
 
-/// How long to wait for a connection to a GCM that is elsewhere.
+/// Time limit for connecting to a GCM in another process.
 const CONNECT: Duration = Duration::from_secs(2);
-/// What a request may take, as for a caller that names no deadline.
+/// Time limit of a request, as for a caller that names no deadline.
 const WITHIN: Duration = Duration::from_secs(5);
-/// What WaitFor may take; its own `deadline` ends it earlier.
+/// Time limit of WaitFor; its own `deadline` ends it earlier.
 const LONGEST: Duration = Duration::from_secs(60);
 /// Header that names the component a host asks for.
 pub(super) const FOR_COMPONENT: &str = "trocar-component";
@@ -51,7 +51,7 @@ enum Way {
 }
 
 impl GcmServices {
-    /// To a GCM in this process. Call it inside a tokio runtime.
+    /// Asks a GCM in this process. Call it inside a tokio runtime.
     pub fn here(gcm: Gcm) -> GcmServices {
         let lines = gcm.lines().clone();
         let (open, closing) = watch::channel(());
@@ -61,7 +61,8 @@ impl GcmServices {
         GcmServices { runtime: Handle::current(), way: Way::Here(edge), _open: open }
     }
 
-    /// To the GCM at `addr`, connected when it is first asked, and again when it was lost. Call it inside a tokio runtime.
+    /// Asks the GCM at `addr`: connects at the first request, and again after a loss. Call it inside a tokio
+    /// runtime.
     ///
     /// # Errors
     /// The address is malformed.
@@ -120,7 +121,7 @@ fn taken_apart(text: &str) -> Result<(String, Map<String, Value>), Refusal> {
         field: "verb".into(),
     };
     let mut fields: Map<String, Value> =
-        serde_json::from_str(text).map_err(|e| invalid(format!("it is no JSON object: {e}")))?;
+        serde_json::from_str(text).map_err(|e| invalid(format!("it is not a JSON object: {e}")))?;
     match fields.remove("verb") {
         Some(Value::String(verb)) => Ok((verb, fields)),
         _ => Err(invalid("it has no \"verb\"".into())),

@@ -1,4 +1,4 @@
-//! Requests of components against a GCM whose LCM does as it is told.
+//! Requests of components against a GCM with a scripted LCM.
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! A process attached over the wire behaves as one that is in the GCM's own process; losing either side is survived.
+//! A process attached over the wire behaves as one in the GCM's own process; the loss of either side is
+//! survived.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -1,4 +1,5 @@
-//! What the port serves besides the methods: reflection, health, streams, logs, and where it may listen.
+//! Services of the port besides the methods: reflection, health, streams, logs, and the addresses it may
+//! listen on.
 
 use std::pin::pin;
 
@@ -212,7 +213,7 @@ async fn who_names_what_was_listed_is_answered_when_it_is_otherwise() {
     let known = gcm.list(ask("host/a", "of another time")).await.unwrap().into_inner();
     assert_eq!(known.etag, first.etag, "it is otherwise already");
 
-    // What is not listed is no news, and neither is what was accepted and changed nothing.
+    // Changes of other parts are no news, and neither is an accepted request without effect.
     let mut waiting = gcm.clone();
     let asked = ask("host/a", &first.etag);
     let mut answer = tokio::spawn(async move { waiting.list(asked).await.unwrap().into_inner() });
@@ -278,7 +279,7 @@ async fn a_port_lets_so_much_be_followed_and_no_more_until_somebody_ends() {
     assert_eq!(refused.code(), Code::ResourceExhausted);
     assert!(refused.message().contains("16384 outputs and events are followed"), "{refused}");
     drop(open.pop());
-    // Asked again until the end of the other is seen.
+    // The request is repeated until the end of the other one is noticed.
     in_time(async || s.interact().subscribe(ask(EACH)).await).await.unwrap();
 }
 
@@ -286,7 +287,7 @@ async fn a_port_lets_so_much_be_followed_and_no_more_until_somebody_ends() {
 async fn a_port_serves_so_many_watches_and_no_more_until_one_ends() {
     let s = System::start().await;
     let from_now = || v1::WatchRequest { from_revision: 0, page_size: 0 };
-    // One connection has no streams left when all Watches there may be are its own.
+    // A further connection is needed when all possible Watches take the streams of the first.
     let mut other = GcmServiceClient::new(connect(&s.server).await);
     let mut open = Vec::new();
     for n in 0..STANDING {
@@ -299,11 +300,11 @@ async fn a_port_serves_so_many_watches_and_no_more_until_one_ends() {
     assert_eq!(refused.code(), Code::ResourceExhausted);
     assert!(refused.message().contains("256 Watches are open at this port"), "{refused}");
     assert!(refused.message().contains("end some of those calls, or ask List"), "what to do: {refused}");
-    // Whoever watches is told of changes as ever, and everything else is answered.
+    // Open watchers are told of changes as ever, and everything else is answered.
     s.gcm().create(create("host/b")).await.unwrap();
     assert!(open[0].next().await.unwrap().is_ok());
     drop(open.pop());
-    // Asked again until the end of the other is seen.
+    // The request is repeated until the end of the other one is noticed.
     in_time(async || s.gcm().watch(from_now()).await).await.unwrap();
 }
 
@@ -340,7 +341,7 @@ async fn a_port_serves_so_many_calls_that_wait_and_no_more_until_one_ends() {
     is_refused(refused.as_ref(), "256 Lists that wait for a change are open", "without unless_etag");
     let refused = in_time(async || full(s.gcm().wait_for(soon(of_wait())).await)).await.ok();
     is_refused(refused.as_ref(), "256 WaitFors are open", "ask Watch");
-    // Calls that do not wait are answered as ever, and the others hear of what they wait for.
+    // Calls that do not wait are answered as ever, and the waiting ones get their answer.
     s.gcm().list(v1::ListRequest::default()).await.unwrap();
     s.gcm().start(start("host/a")).await.unwrap();
     while let Some(answer) = lists.join_next().await {
@@ -358,7 +359,7 @@ async fn a_port_serves_so_many_calls_that_wait_and_no_more_until_one_ends() {
 async fn a_port_serves_so_many_holds_and_no_more_until_one_ends() {
     let s = System::start().await;
     let of = |n: usize| v1::HoldRequest { component: format!("host/h{n}") };
-    // One connection has no streams left when all Holds there may be are its own.
+    // A further connection is needed when all possible Holds take the streams of the first.
     let mut other = GuestServiceClient::new(connect(&s.server).await);
     let mut open = Vec::new();
     for n in 0..STANDING {
@@ -368,11 +369,11 @@ async fn a_port_serves_so_many_holds_and_no_more_until_one_ends() {
     let refused = guest.hold(of(STANDING)).await.err();
     is_refused(refused.as_ref(), "256 Holds are open", "take the component away yourself");
     drop(open.pop());
-    // Asked again until the end of the other is seen.
+    // The request is repeated until the end of the other one is noticed.
     in_time(async || guest.clone().hold(of(STANDING)).await).await.unwrap();
 }
 
-/// Asks until there is a place: one who looked whether all were taken may have had the last.
+/// Asks until there is a place: a caller that looked whether all were taken may have had the last.
 async fn placed<T>(mut ask: impl AsyncFnMut() -> Result<T, Status>) -> Result<T, Status> {
     loop {
         match ask().await {
@@ -382,7 +383,7 @@ async fn placed<T>(mut ask: impl AsyncFnMut() -> Result<T, Status>) -> Result<T,
     }
 }
 
-/// The refusal for want of a place; whatever else was answered is to be asked again.
+/// Returns the refusal for want of a place; after any other answer the caller asks again.
 fn full<T>(answer: Result<T, Status>) -> Result<Status, Status> {
     answer.err().filter(is_full).ok_or_else(|| Status::unavailable("it had a place"))
 }

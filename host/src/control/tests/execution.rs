@@ -1,4 +1,4 @@
-//! Execution settings over the wire: every one of them arrives, is shown again, and is refused where it is wrong.
+//! Execution settings over the wire: each one arrives, is shown again, and is refused where it is wrong.
 
 use tonic_types::StatusExt;
 use trocar_proto::v1;

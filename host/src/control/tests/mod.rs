@@ -1,4 +1,4 @@
-//! The edge as callers see it: real clients against a server on a free port, with LCMs that do as they are told.
+//! The edge as callers see it: real clients against a server on a free port, with scripted LCMs.
 #![allow(clippy::unwrap_used)]
 
 mod attach;

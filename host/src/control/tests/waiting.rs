@@ -1,4 +1,5 @@
-//! WaitFor an event: what is sent while somebody waits reaches them, once it cannot come any more they are told.
+//! WaitFor an event: an event sent meanwhile reaches the waiting caller, who is told when it cannot come any
+//! more.
 
 use std::time::Duration;
 

@@ -1,7 +1,8 @@
-//! The process's half of Attach: dials the GCM, does what it orders, tells it the news, dials again when it is lost.
+//! The process's half of Attach: dials the GCM, carries out its orders, sends it news, dials again after a
+//! loss.
 //!
-//! Invariant: components run on without the GCM; an order that was begun is finished and remembered before the process
-//! says Hello again.
+//! Invariant: components run on without the GCM; an order that has begun is finished and remembered before
+//! the process says Hello again.
 
 mod orders;
 mod session;
@@ -26,17 +27,18 @@ use super::dial::dial;
 use crate::gcm::{Registration, Slice};
 use crate::lcm::Lcm;
 
-/// Time for a GCM to answer at all. One that hangs answers when it goes on, so nothing is gained by waiting longer.
+/// Time for a GCM to answer at all. A GCM that hangs answers when it goes on, so a longer wait gains nothing.
 const ATTEMPT: Duration = Duration::from_secs(1);
-/// Time for one that does, until Registered: a Hello may be large.
+/// Time until Registered for a GCM that answers: a Hello may be large.
 const TAKEN_IN: Duration = Duration::from_secs(3);
-/// Pauses between attempts: a process is attached again well within a second of its GCM's return, however long that was away.
+/// Pauses between attempts: a process is attached again well within a second of its GCM's return, however
+/// long the GCM was away.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_millis(200));
 
 /// Why a process is not attached.
 #[derive(Clone, Debug, PartialEq)]
 pub enum UplinkError {
-    /// Nobody answers at the address, or not a GCM.
+    /// No answer from the address, or not a GCM's.
     NoGcm { addr: String, because: String },
     /// The GCM does not take this process.
     Refused(Refusal),
@@ -53,21 +55,21 @@ impl fmt::Display for UplinkError {
 
 impl Error for UplinkError {}
 
-/// How long a process that waits for its GCM takes it that its name is held by what it was before.
+/// Time for which a waiting process takes the holder of its name for its own earlier incarnation.
 const HELD: Duration = Duration::from_secs(3);
 
-/// What happens when the GCM does not take a process in at the first attempt.
+/// Reaction to a GCM that does not take the process in at the first attempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
-    /// That is the answer.
+    /// The failure is the answer.
     AtOnce,
-    /// It dials on until a GCM is there; a name that is taken is asked for a while longer.
+    /// The process dials on until a GCM is there; it asks for a taken name for a while longer.
     Patient,
 }
 
 /// A process's tie to its GCM.
 pub struct Uplink {
-    /// `None`: somebody else ends it.
+    /// `None`: another owner ends it.
     task: Option<JoinHandle<()>>,
     refused: oneshot::Receiver<Refusal>,
 }
@@ -76,7 +78,8 @@ impl Uplink {
     /// Attaches, and stays attached in the background.
     ///
     /// # Errors
-    /// Nobody answers at `addr` (`HOST:PORT`); the GCM refuses this process. Later losses only mean dialing again.
+    /// Nobody answers at `addr` (`HOST:PORT`), or the GCM refuses this process. A later loss only means
+    /// dialing again.
     pub async fn start(
         addr: String,
         registration: Registration,
@@ -93,7 +96,8 @@ impl Uplink {
         Ok(Uplink { task: Some(tokio::spawn(tie.stay(session, tell))), refused })
     }
 
-    /// Waits until the GCM sends this process away for good, as when its name was given to another one meanwhile.
+    /// Waits until the GCM sends this process away for good, for example because its name belongs to another
+    /// process now.
     pub async fn refused(&mut self) -> Refusal {
         match (&mut self.refused).await {
             Ok(refusal) => refusal,
@@ -102,7 +106,7 @@ impl Uplink {
         }
     }
 
-    /// What to abort to leave the GCM, in the hands of the caller from now on.
+    /// Hands over the task; to leave the GCM, the caller aborts it.
     pub(crate) fn take_task(&mut self) -> Option<JoinHandle<()>> {
         self.task.take()
     }
@@ -111,13 +115,13 @@ impl Uplink {
     pub async fn shutdown(self) {
         if let Some(task) = self.task {
             task.abort();
-            // Aborted is what it is meant to be.
+            // The task is meant to be aborted.
             let _ = task.await;
         }
     }
 }
 
-/// What this process was told to have, as far as it was done.
+/// Everything this process was ordered to have, as far as the orders are carried out.
 type Told = Arc<Mutex<SystemGraph>>;
 
 struct Tie {
@@ -142,11 +146,11 @@ impl Tie {
                     Ok(session) => break session,
                     Err(UplinkError::Refused(refusal @ Refusal::ProcessExists { .. })) => {
                         log::error!("the GCM at {} does not take this process back: {refusal}", self.addr);
-                        // Whoever would listen may be gone.
+                        // The listener may be gone.
                         let _ = tell.send(refusal);
                         return;
                     }
-                    // Whatever else it has against this process may pass.
+                    // Any other failure may pass.
                     Err(e) => log::debug!("{e}"),
                 }
             };
@@ -183,7 +187,8 @@ impl Tie {
         taken_in.map_err(|_| late(TAKEN_IN))?.map_err(told)
     }
 
-    /// A GCM that answers. One that hangs must not find, when it goes on, the Hello of every attempt that was given up meanwhile.
+    /// Returns a client of a GCM that answers. A GCM that hung must not find the Hello of every abandoned
+    /// attempt when it goes on.
     async fn dial(&self) -> Result<AttachServiceClient<Tokened>, Refused> {
         let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
         let channel = dial(&uri, None, ATTEMPT).await.map_err(|e| Refused::Unheard(because(&e)))?;
@@ -196,7 +201,7 @@ impl Tie {
     }
 
     async fn hello(&self, client: AttachServiceClient<Tokened>) -> Result<Session, Refused> {
-        // What was begun for the last session is finished first, so that the slice has it.
+        // Orders of the last session finish first, so that the slice contains their effects.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };
         Session::open(client, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await
@@ -217,9 +222,9 @@ fn longer(pause: Duration) -> Duration {
 
 /// Why an attempt ended.
 enum Refused {
-    /// By a GCM that was asked.
+    /// A GCM was asked, and refused.
     ByGcm(Refusal),
-    /// Nobody was asked, or the answer is not a GCM's.
+    /// No GCM was asked, or the answer is not a GCM's.
     Unheard(String),
 }
 

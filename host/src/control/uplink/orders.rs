@@ -1,7 +1,7 @@
-//! What the GCM orders, done by the LCM of this process.
+//! Orders of the GCM, carried out by the LCM of this process.
 //!
-//! Invariant: each order runs in a task of its own, so that none delays a Stop; every order is answered, if only with a
-//! refusal.
+//! Invariant: each order runs in its own task, so that none delays a Stop; every order is answered, if only
+//! with a refusal.
 
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError};
@@ -52,7 +52,7 @@ impl Orders {
         match order.order {
             Some(O::Apply(change)) => {
                 let (told, busy) = (self.told.clone(), self.quiet.clone().read_owned().await);
-                // Not a task of the session: what was begun is finished without it.
+                // The task is not the session's: an order that has begun is finished without the session.
                 tokio::spawn(async move {
                     let answer = apply(&lcm, &told, change, deadline).await;
                     drop(busy);
@@ -100,7 +100,7 @@ async fn give(answers: &mpsc::Sender<v1::Answer>, id: u64, answer: Result<A, Ref
     let _ = answers.send(v1::Answer { id, answer: Some(answer) }).await;
 }
 
-/// Does a change, then remembers that it was told so.
+/// Makes a change, then remembers the order for it.
 async fn apply(
     lcm: &Arc<dyn Lcm>,
     told: &Told,
@@ -115,7 +115,7 @@ async fn apply(
     Ok(convert::report(&report))
 }
 
-/// As [`apply`], for a connection to another process.
+/// Does the same as [`apply`], for a connection to another process.
 async fn link(
     lcm: &Arc<dyn Lcm>,
     told: &Told,

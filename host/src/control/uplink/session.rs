@@ -1,7 +1,7 @@
 //! One stream to the GCM, from Hello until one side is silent or gone.
 //!
-//! Invariant: news that came before an answer are sent before it, so the GCM never sees an older state after a newer one;
-//! no order is begun after the GCM has given this session up.
+//! Invariant: news that came before an answer is sent before it, so the GCM never sees an older state after a
+//! newer one; no order begins after the GCM has given this session up.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -35,7 +35,7 @@ pub(super) struct Session {
     /// Orders that came before Registered.
     early: Vec<v1::Order>,
     tasks: JoinSet<()>,
-    /// What the GCM calls this incarnation of the process.
+    /// The GCM's number for this incarnation of the process.
     pub(super) epoch: u64,
 }
 
@@ -47,7 +47,7 @@ impl Session {
         told: Told,
         quiet: Arc<RwLock<()>>,
     ) -> Result<Session, Refused> {
-        // Before the inventory is taken, so that nothing falls between.
+        // Subscribes before the inventory is taken, so that no news falls between.
         let news = lcm.news();
         let inventory = lcm.inventory().await.map_err(|refusal| Refused::Unheard(refusal.to_string()))?;
         let hello = v1::Hello {
@@ -84,7 +84,7 @@ impl Session {
         Ok(Session { inbound, out, orders: Orders::new(lcm, told, quiet, answer), early, tasks, epoch })
     }
 
-    /// Does what the GCM orders until it is lost; answers why.
+    /// Carries out the GCM's orders until the GCM is lost; returns the reason.
     pub(super) async fn serve(mut self) -> String {
         for order in std::mem::take(&mut self.early) {
             self.orders.carry_out(order).await;
@@ -92,15 +92,15 @@ impl Session {
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let (mut silent, mut sequence, mut awake) = (0, 0, Instant::now());
-        // A process that stood still longer than its lease is lost for the GCM, and what was ordered is too late: a Start
-        // that was given up must not be done now.
+        // A process that stood still longer than its lease is lost for the GCM, and its orders are too late:
+        // a Start that was given up must not be carried out now.
         let late = |awake: Instant| {
             let asleep = awake.elapsed();
             (asleep > BEAT * LEASE).then(|| format!("this process stood still for {} ms", asleep.as_millis()))
         };
         loop {
             tokio::select! {
-                // What has arrived counts before the silence does.
+                // Messages that arrived count before the silence does.
                 biased;
                 arrived = self.inbound.message() => {
                     let said = match arrived {
@@ -143,7 +143,7 @@ fn message(message: attach_request::Message) -> v1::AttachRequest {
     v1::AttachRequest { message: Some(message) }
 }
 
-/// Sends news and answers until nobody takes them.
+/// Sends news and answers until the receiver is gone.
 async fn pump(
     lcm: Arc<dyn Lcm>,
     mut news: broadcast::Receiver<News>,
@@ -174,7 +174,7 @@ async fn pump(
     }
 }
 
-/// News that are there already; `None` when there are none.
+/// Returns the news that have come already; `None` when there are none.
 async fn waiting(lcm: &Arc<dyn Lcm>, news: &mut broadcast::Receiver<News>) -> Option<Vec<v1::AttachRequest>> {
     match news.try_recv() {
         Ok(next) => Some(vec![news_out(next)]),
@@ -198,7 +198,7 @@ fn news_out(next: News) -> v1::AttachRequest {
     message(attach_request::Message::News(v1::News { news: Some(next) }))
 }
 
-/// After a gap in the news: how everything stands.
+/// Returns the status of everything, after a gap in the news.
 async fn everything(lcm: &Arc<dyn Lcm>) -> Vec<v1::AttachRequest> {
     match lcm.inventory().await {
         Ok(inventory) => {

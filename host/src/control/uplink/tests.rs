@@ -1,4 +1,4 @@
-//! What a process does while its GCM hangs.
+//! Behaviour of a process while its GCM hangs.
 #![allow(clippy::unwrap_used)]
 
 use tokio::io::AsyncReadExt;

@@ -14,17 +14,18 @@ use rust_embed::RustEmbed;
 
 use crate::control::caller::OnlyReads;
 
-/// What the build made.
+/// The built web files.
 #[derive(RustEmbed)]
 #[folder = "web/dist"]
 struct Built;
 
-/// The page, and how it is told what it may do.
+/// The page, and the mark that tells it its rights.
 const PAGE: &str = "index.html";
 const FULL: &str = "<meta name=\"viewer\" content=\"full\"";
 const ONLY_READS: &str = "<meta name=\"viewer\" content=\"read-only\"";
 
-/// Scripts, data and pictures from here only; nobody may frame the page. Styles of elements are set by the graph's library.
+/// Scripts, data and pictures come from here only; nobody may frame the page. The graph's library sets styles
+/// of elements.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; \
      img-src 'self' blob: data:; font-src 'self'; connect-src 'self'; worker-src 'self'; manifest-src 'self'; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -40,12 +41,12 @@ pub(super) async fn page(limit: Option<Extension<OnlyReads>>) -> Response {
     }
 }
 
-/// Names there carry a hash of what they hold.
+/// Names there carry a hash of the content.
 pub(super) async fn asset(Path(name): Path<String>) -> Response {
     file(&format!("assets/{name}"), "public, max-age=31536000, immutable")
 }
 
-/// What lies beside the page, such as its icon.
+/// Serves a file beside the page, such as its icon.
 pub(super) async fn beside(Path(name): Path<String>) -> Response {
     file(&name, "no-cache")
 }

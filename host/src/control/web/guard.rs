@@ -1,7 +1,8 @@
-//! Who may ask through a browser: pages this port served itself, under a name of this machine.
+//! Guard against other web pages: a browser asks only from pages this port served, under a name of this
+//! machine.
 //!
-//! Invariant: a request with any sign of a browser is let in only when Host is a loopback name and Origin, if there is one, is
-//! that Host; there is no CORS, so that nobody else's script ever reads an answer.
+//! Invariant: a request with any sign of a browser is let in only when Host is a loopback name and Origin, if
+//! there is one, is that Host; there is no CORS, so no other site's script ever reads an answer.
 
 use std::net::IpAddr;
 
@@ -13,7 +14,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tonic::Status;
 
-/// What stands between the port and everything it serves.
+/// Judges each request before the port serves it.
 pub(super) async fn guard(request: Request, next: Next) -> Response {
     match judge(request.method(), request.version(), host_of(&request), request.headers()) {
         Ok(()) => next.run(request).await,
@@ -26,7 +27,7 @@ fn is_program(version: Version, headers: &HeaderMap) -> bool {
     version == Version::HTTP_2 && !headers.contains_key(ORIGIN) && !headers.contains_key("sec-fetch-site")
 }
 
-/// True for gRPC as programs speak it; gRPC-Web is for pages, whoever speaks it.
+/// True for gRPC as programs speak it; gRPC-Web is for pages, also when a program speaks it.
 pub(in crate::control) fn is_native(request: &Request) -> bool {
     let kind = request.headers().get(CONTENT_TYPE).map_or(&b""[..], |kind| kind.as_bytes());
     is_program(request.version(), request.headers()) && !kind.starts_with(b"application/grpc-web")
@@ -38,7 +39,7 @@ pub(in crate::control) fn is_grpc(headers: &HeaderMap) -> bool {
 }
 
 fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
-    // One that is no text is judged as one that names nobody.
+    // A header that is no text is judged as one that names nobody.
     headers.get(name).map(|value| value.to_str().unwrap_or_default())
 }
 
@@ -47,7 +48,8 @@ fn host_of(request: &Request) -> Option<&str> {
     request.uri().authority().map(|a| a.as_str()).or_else(|| text(request.headers(), HOST.as_str()))
 }
 
-/// Browsers speak HTTP/2 only under TLS, which is not served here, and send Origin with whatever is no plain GET.
+/// Browsers speak HTTP/2 only under TLS, which is not served here, and send Origin with every request but a
+/// plain GET.
 fn judge(method: &Method, version: Version, host: Option<&str>, headers: &HeaderMap) -> Result<(), String> {
     let origin = text(headers, ORIGIN.as_str());
     let site = text(headers, "sec-fetch-site");
@@ -72,7 +74,8 @@ fn judge(method: &Method, version: Version, host: Option<&str>, headers: &Header
     }
     match site {
         None | Some("same-origin" | "none") => Ok(()),
-        // A link somewhere else to the viewer: it opens a page of ours, which nobody can look into.
+        // A link from another site to the viewer: it opens our own page, which the other site cannot look
+        // into.
         Some(_) if method == Method::GET && text(headers, "sec-fetch-dest") == Some("document") => Ok(()),
         Some(site) => {
             Err(format!("a {} page asked, and only the viewer's own page at http://{host}/ may", shown(site)))
@@ -80,12 +83,13 @@ fn judge(method: &Method, version: Version, host: Option<&str>, headers: &Header
     }
 }
 
-/// What a stranger wrote, short and without what could be markup or control.
+/// Returns a stranger's text, shortened and without characters that could be markup or control.
 fn shown(text: &str) -> String {
     text.chars().filter(|c| c.is_ascii_graphic() && !"<>\"".contains(*c)).take(100).collect()
 }
 
-/// `localhost`, `NAME.localhost` and loopback addresses, with or without a port. Names of that kind are not looked up in DNS.
+/// Tells whether `host` is `localhost`, `NAME.localhost` or a loopback address, with or without a port. Such
+/// names are not looked up in DNS.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => match rest.split_once(']') {
@@ -113,7 +117,8 @@ fn refuse(request: &Request, why: &str) -> Response {
     let said = format!("refused: {why}");
     if is_grpc(request.headers()) {
         let mut response = Status::permission_denied(said).into_http::<Body>();
-        // gRPC says everything under 200; whoever only looks at this sees it, too.
+        // gRPC reports everything under 200; a client that looks only at the HTTP status sees the refusal,
+        // too.
         *response.status_mut() = StatusCode::FORBIDDEN;
         return response;
     }

@@ -1,6 +1,7 @@
 //! The viewer on the gRPC port: its files, gRPC-Web for it, and the guard that keeps other web sites out.
 //!
-//! Invariant: whatever a browser sends passes `guard` first; programs that speak gRPC are served as if there were no page.
+//! Invariant: every request of a browser passes `guard` first; programs that speak gRPC are served as if
+//! there were no page.
 
 mod assets;
 mod guard;
@@ -20,7 +21,7 @@ use tonic_web::GrpcWebLayer;
 pub(super) use self::guard::is_native;
 use super::caller::{Access, known, only_reads};
 
-/// Rights of callers at a port, beyond those of everybody.
+/// Rights of callers at a port, beyond everybody's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortRules {
     pub viewer: Viewer,
@@ -28,17 +29,17 @@ pub struct PortRules {
     pub open_loopback: bool,
 }
 
-/// What the viewer's page may do on a port.
+/// Rights of the viewer's page on a port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Viewer {
-    /// Whatever anybody may who reaches the port.
+    /// Everything that any caller of the port may do.
     #[default]
     Full,
-    /// Look: what comes through a browser changes nothing. Programs that speak gRPC go on as ever.
+    /// Look only: requests through a browser change nothing. Programs that speak gRPC are not affected.
     ReadOnly,
 }
 
-/// The services and the page as one, behind what decides who may ask for what.
+/// Joins the services and the page, behind the guard of their rights.
 pub(super) fn with_page(services: Routes, access: Access) -> Routes {
     let access = Arc::new(access);
     let services = services
@@ -56,7 +57,7 @@ pub(super) fn with_page(services: Routes, access: Access) -> Routes {
     all.layer(from_fn_with_state(access, known)).layer(from_fn(guard::guard)).into()
 }
 
-/// gRPC keeps its own answer to what it does not know; everybody else is told what there is.
+/// gRPC keeps its own answer to unknown paths; other callers are told what exists.
 async fn nothing_there(request: Request<Body>) -> Response {
     if guard::is_grpc(request.headers()) {
         return Status::unimplemented("").into_http::<Body>();

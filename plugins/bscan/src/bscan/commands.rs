@@ -42,7 +42,7 @@ impl BScan {
         self.give_up("aborted by command");
     }
 
-    /// How far the scan is.
+    /// Progress of the scan.
     #[read]
     fn progress(s: &BScanState) -> Progress {
         s.progress
@@ -80,7 +80,7 @@ impl BScan {
         };
         if self.last.distance < least_m {
             return Err(format!(
-                "the tip is {:.0} um from the surface, and min_distance_m is {:.0} um{}: bring it away first",
+                "the tip is {:.0} µm from the surface, and min_distance_m is {:.0} µm{}: bring it away first",
                 1e6 * self.last.distance,
                 1e6 * self.cfg.min_distance_m,
                 leaning(&axis, least_m)
@@ -100,12 +100,12 @@ impl BScan {
     }
 }
 
-/// What a tool that leans makes of min_distance_m, as words; nothing for one that stands.
+/// Describes the effect of a tool that leans on min_distance_m; empty for one that stands.
 fn leaning(axis: &[f64; 3], least_m: f64) -> String {
     if axis[2] > UPRIGHT_COSINE {
         String::new()
     } else {
-        format!(", {:.0} um along a tool that leans so", 1e6 * least_m)
+        format!(", {:.0} µm along a tool that leans so", 1e6 * least_m)
     }
 }
 

@@ -1,4 +1,4 @@
-//! When a scan does not begin, and what is said then.
+//! Cases in which a scan does not begin, and the reasons that are given.
 #![allow(clippy::unwrap_used)]
 
 use trocar_sdk::data::{Distance, OperatingMode, OperatingState, Pose, Retreat};
@@ -36,7 +36,7 @@ fn a_scan_does_not_begin_without_robot_surface_or_sense() {
         Distance { stamp, distance: 0.12e-3, velocity: 0.0, valid: true.into(), ..Distance::default() },
     );
     bench.step(1);
-    assert!(begin(&mut bench, Rig::request()).starts_with("the tip is 120 um from the surface"));
+    assert!(begin(&mut bench, Rig::request()).starts_with("the tip is 120 µm from the surface"));
     stand(&mut bench, 0.0, true);
     let fast = ScanRequest { speed: 1.0, ..Rig::request() };
     assert_eq!(begin(&mut bench, fast), "speed: 1 is not from 0.000001 to 0.005 (SI units)");
@@ -75,7 +75,7 @@ fn an_offset_that_leaves_a_moving_eye_no_room_is_refused_where_the_robot_does_no
     rig.retreats(false);
     assert_eq!(
         start(&mut rig, 300e-6),
-        "offset: 300 um leaves no room for an eye that comes up by 350 um: give 500 um or more; for less, connect axis to a \
+        "offset: 300 µm leaves no room for an eye that comes up by 350 µm: give 500 µm or more; for less, connect axis to a \
          robot that goes back by itself (set_retreat) when this component dies"
     );
     assert_eq!(start(&mut rig, 500e-6), "");
@@ -83,7 +83,7 @@ fn an_offset_that_leaves_a_moving_eye_no_room_is_refused_where_the_robot_does_no
     rig.retreats(true);
     rig.bench.configure(r#"{"rows": 8, "range_db": [40, 100], "retract_m": 0.0001}"#).unwrap();
     let refused = start(&mut rig, 300e-6);
-    assert!(refused.ends_with("give 400 um or more; retract_m is too short for less"), "{refused}");
+    assert!(refused.ends_with("give 400 µm or more; retract_m is too short for less"), "{refused}");
     assert_eq!(rig.retreat(), Retreat::default(), "what is refused leaves nothing behind");
     rig.bench.configure(r#"{"rows": 8, "range_db": [40, 100]}"#).unwrap();
     assert_eq!(start(&mut rig, 300e-6), "");

@@ -14,8 +14,8 @@ pub(super) struct BScanConfig {
     /// The same, summed up over time
     #[config(live, min = 0.0, max = 2000.0, unit = "1/s^2", default = 100.0)]
     pub(super) ki_per_s2: f64,
-    /// How long the robot takes to answer a velocity: the lag of its drive and a period. With the measured delays it bounds the
-    /// gains
+    /// Time that the robot takes to answer a velocity: the lag of its drive and a period. With the measured
+    /// delays it bounds the gains
     #[config(live, min = 0.0, max = 0.1, unit = "s", default = 0.009)]
     pub(super) robot_lag_s: f64,
     /// Highest speed along the tool
@@ -24,15 +24,16 @@ pub(super) struct BScanConfig {
     /// Highest speed towards the surface, beside the surface's own
     #[config(live, min = 1e-5, max = 0.005, unit = "m/s", default = 0.0005)]
     pub(super) approach_m_s: f64,
-    /// The tip never goes nearer to the surface, whose height counts along z of the robot's base frame, the axis of the eye
+    /// The tip never goes nearer to the surface, whose height counts along z of the robot's base frame, the
+    /// axis of the eye
     #[config(live, min = 0.00015, max = 0.001, unit = "m", default = 0.00015)]
     pub(super) min_distance_m: f64,
-    /// Way back from the surface at the end of the line, and of a scan that ends before: an eye that moves comes near a tip that
-    /// stands
+    /// Way back from the surface at the end of the line, and of a scan that ends before: an eye that moves
+    /// comes near a tip that stands
     #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.0004)]
     pub(super) retract_m: f64,
-    /// How far the eye comes up at most, with pulse and breath. Beside min_distance_m it has room in the offset, and in retract_m
-    /// where the robot goes back by itself when this component dies
+    /// Most that the eye comes up, with pulse and breath. Beside min_distance_m it has room in the offset,
+    /// and in retract_m if the robot goes back by itself when this component dies
     #[config(live, min = 0.0, max = 0.001, unit = "m", default = 0.00035)]
     pub(super) eye_motion_m: f64,
     /// An approach that takes longer is given up

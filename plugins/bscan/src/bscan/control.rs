@@ -1,4 +1,4 @@
-//! One period of a scan: from what is seen to what the robot is told.
+//! One period of a scan: from readings to the robot's commands.
 //!
 //! Invariant: every speed that is sent comes from `depth` and `line`, and whatever cannot go on says why.
 
@@ -18,11 +18,11 @@ const CLOSE_M: f64 = 50e-6;
 /// A tip this near to the offset, m, and near to where the scan sets off, does so after so long, s.
 const NEAR_M: f64 = 15e-6;
 const SETTLED_S: f64 = 0.1;
-/// A tip at the end of the line waits for A-scans at most so long, s. Where distances end with them the tip stands 15 ms later, so one
-/// that came to the end all the same is done before the surface counts as lost.
+/// A tip at the end of the line waits for A-scans at most so long, s. If distances end with them, the tip
+/// stands 15 ms later, so a tip that came to the end all the same is done before the surface counts as lost.
 const LAST_ASCAN_S: f64 = 0.03;
-/// The robot's own guard lets the tip near at most at this times the distance that is left, 1/s: the most that it takes. `depth` brakes
-/// at a rate of its own, which counts from the surface's velocity.
+/// Highest speed towards the guard per distance that is left, 1/s: the most that the robot takes for its own
+/// guard. `depth` brakes at a rate of its own, which counts from the surface's velocity.
 const GUARD_STIFFNESS_PER_S: f64 = 30.0;
 
 /// A tool that leans further from z than by 60° does not point at what is below it.
@@ -95,14 +95,15 @@ impl BScan {
         Ok(())
     }
 
-    /// Distance along the tool at which the tip is min_distance_m above a surface that lies across z: more for a tool that leans. None for
-    /// one that leans so far that it does not point at what is below it.
+    /// Returns the distance along the tool at which the tip is min_distance_m above a surface that lies
+    /// across z: more for a tool that leans. None for one that leans so far that it does not point at what is
+    /// below it.
     pub(super) fn least_m(&self, axis: &[f64; 3]) -> Option<f64> {
         (axis[2] > LEAST_COSINE).then(|| self.cfg.min_distance_m / axis[2])
     }
 
-    /// A plane across z through the place `below_m` before the tip: under a tool that leans, one across the tool would let the tip go
-    /// aside into the surface.
+    /// Returns a plane across z through the place `below_m` before the tip: under a tool that leans, one
+    /// across the tool would let the tip go aside into the surface.
     fn guard(&self, axis: &[f64; 3], below_m: f64) -> VirtualFixture {
         let position = [0, 1, 2].map(|i| self.pose.position[i] + axis[i] * below_m);
         // Half a turn about x: the allowed side is where z points.
@@ -110,7 +111,7 @@ impl BScan {
         VirtualFixture { kind: FixtureKind::PLANE, reserved: 0, frame, stiffness: GUARD_STIFFNESS_PER_S }
     }
 
-    /// How much further than the offset the tip is wanted by now, m.
+    /// Returns the distance beyond the offset that the tip should have by now, m.
     fn retracted_m(&self, now: Stamp) -> f64 {
         if self.progress.phase != Phase::RETRACT {
             return 0.0;
@@ -145,7 +146,8 @@ impl BScan {
         if off_m < CLOSE_M { velocity } else { [0.0; 3] }
     }
 
-    /// Have all A-scans of the line been seen? They come in their order, so one that was taken at its end is behind all of them.
+    /// Tells whether all A-scans of the line have been seen. They come in their order, so one that was taken
+    /// at its end is behind all of them.
     pub(super) fn is_over(&self, now: Stamp) -> bool {
         let end = self.since.end;
         end.is_valid() && (self.sending.newest() >= end || now.seconds_since(end) > LAST_ASCAN_S)

@@ -1,7 +1,7 @@
-//! How a scan goes from phase to phase, and how it ends.
+//! Phases of a scan, and its end.
 //!
-//! Invariant: every way out ends with `hold`, without guard and retreat, and is told by exactly one event, which says what of it the
-//! robot did not take at once.
+//! Invariant: every way out ends with `hold`, without guard and retreat, and is told by exactly one event,
+//! which says what of it the robot did not take at once.
 
 use std::io::Write;
 
@@ -12,12 +12,14 @@ use trocar_sdk::prelude::*;
 use super::{BScan, ROBOT_LOST_S, is_ready};
 use crate::payloads::{Phase, Progress, ScanDone};
 
-/// What the robot did not take is sent again for so long, s: as long as its last velocity can go on. Later somebody else may lead it.
+/// Time for which commands that the robot did not take are sent again, s: as long as its last velocity can go
+/// on. Later another client may lead it.
 const AGAIN_S: f64 = 0.02;
-/// Share of the way back by which the tip counts as gone: the way begins at the setpoint, and a tip that moves is not there.
+/// Share of the way back by which the tip counts as gone: the way begins at the setpoint, and a tip that
+/// moves is not there.
 const DONE: f64 = 0.8;
 
-/// What the robot was told at the end of a scan, and has not taken.
+/// Commands at the end of a scan that the robot has not taken.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Owed {
     hold: bool,
@@ -67,7 +69,8 @@ impl BScan {
         self.progress.stranded = (left_m > 0.0).into();
     }
 
-    /// Has the tip been brought away after all? By its encoders: a robot on another thread takes what it may refuse later.
+    /// Checks whether the tip has been brought away after all, by its encoders: a robot on another thread
+    /// takes what it may refuse later.
     pub(super) fn mind_the_way(&mut self) {
         if !self.progress.stranded.get() {
             return;
@@ -103,13 +106,15 @@ impl BScan {
         self.tell_done();
     }
 
-    /// Counts what the robot did not take; where nothing is connected there is nobody who refuses. Tells whether it was taken.
+    /// Counts a command that the robot did not take; if nothing is connected, nothing refuses it. Tells
+    /// whether it was taken.
     pub(super) fn count(&mut self, outcome: Outcome) -> bool {
         self.progress.refused += u64::from(!outcome.is_ok() && outcome != Outcome::Unbound);
         outcome.is_ok()
     }
 
-    /// To hold, and then to go away; what is not taken stays owed. A way that is taken needs no hold, which would end it.
+    /// Asks the robot to hold, and then to go away; a command that is not taken stays owed. A way that is
+    /// taken needs no hold, which would end it.
     fn ask(&mut self, owed: Owed) {
         let outcome = owed.hold.then(|| self.hold.send(()));
         let held = outcome.is_none_or(|outcome| self.count(outcome));
@@ -131,7 +136,8 @@ impl BScan {
         self.ask(owed);
     }
 
-    /// The tip cannot be led away any more: it goes the rest of the way unseen, and the image is there all the same.
+    /// Ends a scan whose tip cannot be led away any more: it goes the rest of the way unseen, and the image
+    /// counts all the same.
     pub(super) fn end_early(&mut self) {
         self.go_away();
         self.tell_done();
@@ -147,7 +153,7 @@ impl BScan {
 fn joined(first: &str, second: &str) -> Text<128> {
     let mut bytes = [0; 128];
     let mut room = &mut bytes[..];
-    // What does not fit is cut.
+    // Text that does not fit is cut.
     _ = write!(room, "{first}{second}");
     let left = room.len();
     Text::new(str::from_utf8(&bytes[..128 - left]).unwrap_or(first))

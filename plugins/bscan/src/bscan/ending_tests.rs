@@ -1,4 +1,4 @@
-//! What ends a scan, and what is left then: one event, a hold, a tip that rests.
+//! Causes that end a scan, and the state after them: one event, a hold, a tip that rests.
 #![allow(clippy::unwrap_used)]
 
 use trocar_sdk::data::{OperatingMode, OperatingState, Pose};
@@ -48,7 +48,7 @@ fn a_deeper_layer_that_is_taken_for_the_surface_is_not_followed() {
         let largest = rig.truth[from..].iter().map(|t| (t.distance_m - OFFSET_M).abs()).fold(0.0, f64::max);
         assert!(largest < 50e-6, "seed {seed}: {largest:.2e} m");
         assert_eq!(rig.progress().phase, Phase::SCAN, "seed {seed}");
-        // It stays.
+        // The deepest layer stays the only one.
         rig.deep_until_ns = u64::MAX;
         let from = rig.truth.len();
         rig.steps(62);
@@ -79,7 +79,7 @@ fn after_the_line_the_tip_goes_away_from_the_eye_before_it_rests() {
     assert_eq!((rig.progress().phase, rig.held), (Phase::IDLE, 1));
     rig.steps(20);
     let away = rig.truth.last().unwrap().distance_m - OFFSET_M;
-    // Where exactly it rests matters to nobody.
+    // The exact place at which it rests does not matter.
     assert!((away - 400e-6).abs() < 20e-6, "{away:.2e} m");
     // Without a surface it rests where it is, and the image counts.
     let mut rig = Rig::new(Setup::new("default", 2));
@@ -124,7 +124,7 @@ fn a_robot_that_is_paused_or_disabled_ends_the_scan_and_moves_nothing_when_it_is
             rig.robot.command::<Text<32>, ()>("arm/state_command", Text::new(word)).unwrap();
         };
         says(&mut rig, away);
-        // What was on its way when it was paused, it refuses.
+        // The robot refuses commands that were on their way when it was paused.
         rig.steps(2);
         let told = rig.bench.events::<Text<128>>("scan/bscan_aborted");
         assert_eq!(told, ["the robot is no longer enabled and homed"], "{away}");
@@ -211,7 +211,7 @@ fn a_robot_that_queues_its_way_back_and_does_not_go_it_leaves_the_tip_stranded()
     assert_eq!(told, "aborted by command");
     rig.steps(400);
     assert!(rig.progress().stranded.get() && rig.progress().refused == 0, "{:?}", rig.progress());
-    // Whoever brings it away then, it is away.
+    // The tip counts as away, whichever client brings it there.
     let up = Pose { position: [0.0, 0.0, -0.4e-3], ..Pose::default() };
     rig.robot.command::<Pose, ()>("arm/move_cr", up).unwrap();
     rig.steps(400);
@@ -311,7 +311,8 @@ fn a_begin_that_is_not_reached_in_time_ends_the_scan() {
 
 #[test]
 fn an_end_that_is_not_reached_in_time_ends_the_scan() {
-    // So slow and short that a tip which stands is never 0.2 mm behind: 1 s for it and 30 µm, half as long again, and 2 s.
+    // The line is so slow and short that a tip which stands is never 0.2 mm behind: 1 s for it and 30 µm,
+    // half as long again, and 2 s.
     let mut rig = Rig::new(Setup::new("static", 1));
     rig.steps(60);
     let slow = ScanRequest { speed: 5e-5, to: [-1.48e-3, 0.0, APEX_Z_M], ..Rig::request() };

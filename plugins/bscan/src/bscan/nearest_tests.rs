@@ -1,6 +1,7 @@
-//! How near the tip comes to the retina when a scan ends, however it ends (gate A6).
+//! Nearest distance of the tip to the retina after a scan, however it ends (gate A6).
 //!
-//! Invariant: the true tip and the true first surface count, for a whole breath after the end, in virtual time.
+//! Invariant: the true tip and the true first surface count, for a whole breath after the end, in virtual
+//! time.
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::Vector3;
@@ -80,7 +81,7 @@ fn a_tip_that_is_blind_on_its_way_back_goes_the_rest_and_stays_150_micrometres_a
 
 #[test]
 fn an_abort_on_the_way_back_leads_the_tip_no_further_away_than_the_whole_way() {
-    // Where the eye rests, distance is way.
+    // Over an eye that rests, distance is way.
     for late in [0, 300, 700] {
         let mut rig = on_the_way_back("static_no_membrane", 1, late);
         rig.bench.command::<(), ()>("scan/abort", ()).unwrap();
@@ -102,7 +103,7 @@ fn settings_that_leave_the_eye_no_room_are_refused_while_a_scan_runs() {
     };
     for live in [r#""retract_m": 0"#, r#""eye_motion_m": 0.0008"#, r#""min_distance_m": 0.0003"#] {
         let refused = set(&mut rig, live);
-        assert!(refused.contains("200 um leaves no room for an eye"), "{live}: {refused}");
+        assert!(refused.contains("200 µm leaves no room for an eye"), "{live}: {refused}");
         assert_eq!(rig.retreat().distance, 0.4e-3);
     }
     assert_eq!(set(&mut rig, r#""retract_m": 0.0005"#), "");
@@ -110,12 +111,13 @@ fn settings_that_leave_the_eye_no_room_are_refused_while_a_scan_runs() {
     assert_eq!(rig.progress().phase, Phase::SCAN);
 }
 
-/// A scan that somebody kills in the middle, and what the robot does then for a whole breath: nearest distance and way back, m.
+/// Kills a scan in the middle, and watches the robot for a whole breath: returns nearest distance and way
+/// back, m.
 fn kill(mut rig: Rig, seed: u64) -> (f64, f64) {
     rig.begin();
     rig.until_scanning();
     rig.steps(500 + 53 * seed as usize);
-    // From here on nobody sends anything, and nobody ends anything.
+    // From here on nothing is sent, and nothing is ended.
     let from = rig.truth.last().unwrap().tip_z_m;
     let mut nearest = rig.watch(20).into_iter().fold(f64::INFINITY, f64::min);
     assert_eq!(rig.true_speed_m_s(), 0.0, "seed {seed}");
@@ -178,7 +180,7 @@ fn while_a_scan_runs_the_robots_guard_lies_at_the_least_distance_above_the_surfa
         assert!(guard.kind == FixtureKind::PLANE && guard.frame.orientation[0] > 1.0 - 1e-9, "{guard:?}");
         assert!((above_m - 150e-6).abs() < 20e-6, "{above_m:.2e} m");
     }
-    // Whatever else commands the robot, it does not come nearer.
+    // Other commands do not bring the robot nearer.
     for _ in 0..400 {
         let down = Twist { linear: [0.0, 0.0, 0.009], ..Twist::default() };
         rig.robot.command::<_, ()>("axis/servo_cv", down).unwrap();

@@ -1,4 +1,4 @@
-//! How well the offset is kept in a closed loop, against the phantom's truth (gates A1, A2, A3 and A5).
+//! Accuracy of the offset in a closed loop, against the phantom's truth (gates A1, A2, A3 and A5).
 //!
 //! Invariant: virtual time, a range of seeds; the bounds are those of the design, 30 % above its prototype.
 

@@ -1,6 +1,7 @@
 //! The image of the scan: A-scans come in, columns and frames go out.
 //!
-//! Invariant: an A-scan belongs to the column where the tip was when it was taken, not where it is when it arrives.
+//! Invariant: an A-scan belongs to the column of the tip's place when it was taken, not of its place when it
+//! arrives.
 
 use trocar_sdk::prelude::*;
 
@@ -23,7 +24,7 @@ impl BScan {
             };
             let Some(line) = &self.line else { continue };
             for (taken, ascan) in all {
-                // What was taken on the way to the line belongs to no column.
+                // A-scans taken on the way to the line belong to no column.
                 if self.progress.phase != Phase::SCAN || taken < self.since.phase {
                     continue;
                 }

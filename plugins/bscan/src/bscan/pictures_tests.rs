@@ -176,7 +176,8 @@ fn laid_straight_the_image_shows_the_surface_as_far_above_the_epithelium_as_it_i
     }
 }
 
-/// A scan that has set off, begun from within the line. Its columns are a tenth as wide as where a tip counts as at the begin.
+/// A scan that has set off, begun from within the line. Its columns are a tenth as wide as the range in which
+/// a tip counts as at the begin.
 fn fine_scan() -> Rig {
     let place_m = [-1.45e-3, 0.0, 500e-6];
     let mut rig = Rig::new(Setup { images: true, place_m, ..Setup::new("static_no_membrane", 2) });
@@ -187,7 +188,7 @@ fn fine_scan() -> Rig {
     rig
 }
 
-/// Where it ends along x, m, and of how many columns it is.
+/// Its end along x, m, and its number of columns.
 const FINE_END_M: f64 = -1.4e-3;
 const FINE: usize = 67;
 
@@ -210,7 +211,7 @@ fn a_tip_that_comes_from_within_the_line_leaves_no_column_out() {
 #[test]
 fn a_scan_waits_at_its_end_for_a_scans_that_are_late() {
     let mut rig = fine_scan();
-    // What is taken in its last 5 ms comes 20 ms later.
+    // A-scans taken in its last 5 ms come 20 ms later.
     until_left(&mut rig, 2.5e-6);
     rig.setup.latency_ns = 20_000_000;
     rig.until_idle();
@@ -258,7 +259,7 @@ fn columns_tell_where_the_tip_and_the_surface_were_when_their_first_a_scan_was_t
         // 9 ms of delay are 4.5 µm of way; encoders have steps of 0.5 µm.
         assert!((x - truth.x_m).abs() < 0.6e-6, "{:.2e} m beside", x - truth.x_m);
         assert!((z - 0.121 - truth.tip_z_m).abs() < 0.6e-6, "{:.2e} m above", z - 0.121 - truth.tip_z_m);
-        // What was seen in this very A-scan, and so is no nearer to any other one's.
+        // The distance is that of this very A-scan, and so is no nearer to any other one's.
         assert_eq!(column.distance, truth.measured.distance);
         let off_m = column.distance - truth.distance_m;
         assert!(off_m.abs() < 1e-6, "column {}: {off_m:.2e} m off the truth", column.column);

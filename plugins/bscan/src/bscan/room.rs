@@ -1,6 +1,8 @@
-//! Room for an eye that comes up: what the robot does when this component dies, and how far the tip is brought away else.
+//! Room for an eye that comes up: the robot's way back when this component dies, and the tip's way back
+//! otherwise.
 //!
-//! Invariant: while a scan runs, offset and way back leave `eye_motion_m` beside `min_distance_m`, whatever is set.
+//! Invariant: while a scan runs, offset and way back leave `eye_motion_m` beside `min_distance_m`, whatever
+//! is set.
 
 use trocar_sdk::data::Retreat;
 
@@ -10,7 +12,8 @@ use super::BScan;
 use super::control::LEAST_COSINE;
 use crate::payloads::Phase;
 
-/// The robot's way back by itself: faster than an eye comes up, and only after a silence that is no hiccup, m/s and s.
+/// The robot's way back by itself: faster than an eye comes up, and only after a silence that is more than a
+/// hiccup, m/s and s.
 const RETREAT_M_S: f64 = 2e-3;
 const RETREAT_AFTER_S: f64 = 0.02;
 
@@ -50,13 +53,14 @@ impl BScan {
             "for less, connect axis to a robot that goes back by itself (set_retreat) when this component dies"
         };
         Err(format!(
-            "offset: {:.0} um leaves no room for an eye that comes up by {:.0} um: give {nearest_um:.0} um or more; {how}",
+            "offset: {:.0} µm leaves no room for an eye that comes up by {:.0} µm: give {nearest_um:.0} µm or more; {how}",
             1e6 * offset_m,
             1e6 * self.cfg.eye_motion_m
         ))
     }
 
-    /// How much of `retract_m` the tip has still to go, m: on the way back what is left of it where the surface was last near.
+    /// Returns the rest of `retract_m` that the tip has still to go, m: on the way back, the rest from where
+    /// the surface was last near.
     pub(super) fn left_m(&self) -> f64 {
         let gone_m = match &self.line {
             Some(line) if self.progress.phase == Phase::RETRACT => self.near_m - line.offset_m,

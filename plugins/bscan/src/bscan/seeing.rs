@@ -1,6 +1,6 @@
-//! What robot and tracker tell.
+//! Readings of robot and tracker.
 //!
-//! Invariant: nothing is commanded here; what is taken in carries the time at which it was so.
+//! Invariant: nothing is commanded here; a reading that is taken in carries the time of its measurement.
 
 use trocar_sdk::data::{Distance, Pose};
 use trocar_sdk::prelude::*;
@@ -41,7 +41,7 @@ impl BScan {
         }
     }
 
-    /// The tip is where the robot says it was.
+    /// Takes the tip's pose as the robot tells it.
     fn follow(&mut self, pose: Pose, now: Stamp) {
         if !self.track.tip_at(pose, now) {
             self.refused_poses += 1;
@@ -60,7 +60,8 @@ impl BScan {
         }
     }
 
-    /// What is measured of the loop's delay: from exposure to step and from robot to step, s. The robot's own lag is not in it.
+    /// Returns the measured part of the loop's delay: from exposure to step and from robot to step, s. The
+    /// robot's own lag is not in it.
     pub(super) fn measured_delay_s(&self) -> f64 {
         self.progress.delay + self.hop_s
     }
@@ -69,7 +70,8 @@ impl BScan {
     fn see(&mut self, seen: Distance, now: Stamp) {
         self.last = seen;
         self.progress.surface = seen.valid;
-        // What comes a little before its time is on time: less than no delay would hide that of others in the mean.
+        // A distance that comes a little before its time is on time: a delay below zero would hide that of
+        // others in the mean.
         let delay_s = now.seconds_since(seen.stamp).max(0.0);
         let share = if std::mem::replace(&mut self.since.delay_known, true) { DELAY_SHARE } else { 1.0 };
         self.progress.delay += share * (delay_s - self.progress.delay);

@@ -1,4 +1,4 @@
-//! What robot and tracker tell of times that cannot be.
+//! Readings of robot and tracker with times that cannot be.
 #![allow(clippy::unwrap_used)]
 
 use std::cell::Cell;

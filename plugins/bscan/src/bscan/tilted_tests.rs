@@ -1,4 +1,5 @@
-//! The gates A1, A2, A3 and A6 with a tool that comes from the side through the wall of the eye, which holds its shaft.
+//! The gates A1, A2, A3 and A6 with a tool that comes from the side through the wall of the eye, which holds
+//! its shaft.
 //!
 //! Invariant: bounds and seeds are those of the upright tool; distances are true ones along the tool.
 
@@ -41,7 +42,8 @@ fn control_is_worth_as_much_with_a_tool_from_the_side() {
 fn after_an_abort_a_lost_surface_or_the_end_a_tool_from_the_side_stays_150_micrometres_away() {
     for seed in seeds() {
         for ending in ["abort", "lost", "end"] {
-            // The nearest offset there is, by what a tool of 28° leans more than 200 µm; the eye goes up and down by 320 µm.
+            // The nearest offset that is possible, more than 200 µm by the lean of 28°; the eye goes up and
+            // down by 320 µm.
             let end_m = -1.4e-3 + 20e-6 * seed as f64;
             let mut rig =
                 Rig::new(Setup { offset_m: 228e-6, end_m, ..Setup::from_the_side("default", seed) });

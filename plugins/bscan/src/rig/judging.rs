@@ -1,6 +1,6 @@
-//! What a run is judged by: the true tip, the true surface, and what the robot keeps.
+//! Criteria of a run: the true tip, the true surface, and what the robot keeps.
 //!
-//! Invariant: nothing here is told to what is judged.
+//! Invariant: none of these values reaches the judged component.
 
 use nalgebra::{Point3, Vector3};
 use trocar_sdk::data::{Retreat, VirtualFixture};
@@ -8,7 +8,8 @@ use trocar_sdk::data::{Retreat, VirtualFixture};
 use super::{Rig, STEP_NS, Truth};
 
 impl Rig {
-    /// Root mean square and largest deviation from the offset during the scan, and the smallest distance ever, m.
+    /// Returns root mean square and largest deviation from the offset during the scan, and the smallest
+    /// distance ever, m.
     pub(crate) fn errors(&self) -> (f64, f64, f64) {
         let errors: Vec<f64> =
             self.truth.iter().filter(|t| t.scanning).map(|t| t.distance_m - self.setup.offset_m).collect();
@@ -35,8 +36,8 @@ impl Rig {
         (0..3).all(|i| (to[i] - from[i]).abs() < 0.5e-6)
     }
 
-    /// The robot alone goes on for so many periods, without anybody who commands it: the distance of its true tip from
-    /// the first surface, m, after each of them, along the tool or straight down, whichever is less.
+    /// Lets the robot go on alone for so many periods, without any command: returns the distance of its true
+    /// tip from the first surface, m, after each of them, along the tool or straight down, whichever is less.
     pub(crate) fn watch(&mut self, periods: usize) -> Vec<f64> {
         let step = |_| {
             self.robot.step(1);
@@ -61,7 +62,7 @@ impl Rig {
         self.robot.read("virtual_fixture/guard", ()).expect("a read")
     }
 
-    /// What the robot will do when nobody moves it any more.
+    /// Returns the way back that the robot takes without further commands.
     pub(crate) fn retreat(&self) -> Retreat {
         self.robot.read("axis/retreat", ()).expect("a read")
     }

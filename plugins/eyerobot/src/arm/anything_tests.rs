@@ -1,4 +1,4 @@
-//! Any commands in any order, good ones and bad ones: what must hold whatever a client sends.
+//! Any commands in any order, good ones and bad ones: conditions that hold for any client.
 //!
 //! Invariant: commands and values come from a seed; nothing here knows what a command should do.
 
@@ -112,7 +112,7 @@ fn whatever_is_sent_setpoints_keep_limits_speeds_and_the_plane_and_the_true_tip_
                 let outside = (q[i] - limits.upper[i]).max(limits.lower[i] - q[i]);
                 assert!(outside <= 1e-6, "seed {seed} period {n} joint {i}: {q:?}");
                 let way = (q[i] - before[i]).abs();
-                // Where the arm is not driven its setpoint is where the encoders are.
+                // While the arm is not driven, its setpoint is where the encoders are.
                 assert!(
                     reset || way <= limits.speed[i] * DT * (1.0 + 1e-6) + 1e-9,
                     "seed {seed} period {n}: {way}"
@@ -121,7 +121,7 @@ fn whatever_is_sent_setpoints_keep_limits_speeds_and_the_plane_and_the_true_tip_
             moved += (q - before).norm();
             before = q;
             let (sent, real) = (left(&q), left(&arm.drive().truth().position));
-            // Where the drive has braked by itself the setpoint is where the encoders are.
+            // If the drive has braked by itself, the setpoint is where the encoders are.
             assert!(sent > -5e-6, "seed {seed} period {n}: sent {sent:e} m beyond the plane");
             assert!(real > -10e-6, "seed {seed} period {n}: {real:e} m beyond the plane");
         }

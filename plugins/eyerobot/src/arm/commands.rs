@@ -1,6 +1,7 @@
 //! The CRTK commands of an arm.
 //!
-//! Invariant: a command checks everything before it changes anything, and only hands a motion over: `step` moves.
+//! Invariant: a command checks everything before it changes anything, and only hands a motion over: `step`
+//! moves.
 
 use nalgebra::{Isometry3, Vector3, Vector6};
 use trocar_sdk::crtk::StateCommand;
@@ -41,8 +42,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// CRTK `servo_jv`: move at joint velocities (m/s, rad/s) until the next command, at most `servo_timeout_s`; brakes
-    /// at the limits of the joints' travel.
+    /// CRTK `servo_jv`: move at joint velocities (m/s, rad/s) until the next command, at most
+    /// `servo_timeout_s`; brakes at the limits of the joints' travel.
     ///
     /// # Errors
     /// Not enabled and homed; a velocity that is not finite or above the joint's speed.
@@ -64,8 +65,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// CRTK `servo_cr`: change the setpoint of the tip by this much now: its translation is added, its rotation turns the
-    /// tip about itself, both along the axes of the base frame.
+    /// CRTK `servo_cr`: change the setpoint of the tip by this much now: its translation is added, its
+    /// rotation turns the tip about itself, both along the axes of the base frame.
     ///
     /// # Errors
     /// As `servo_cp`, of the setpoint after the change.
@@ -76,8 +77,9 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// CRTK `servo_cv`: move the tip with a twist (m/s, rad/s) until the next command, at most `servo_timeout_s`. Joint
-    /// limits and fixtures leave of it what they allow. A velocity of `servo_axis` goes on beside it.
+    /// CRTK `servo_cv`: move the tip with a twist (m/s, rad/s) until the next command, at most
+    /// `servo_timeout_s`. Joint limits and fixtures leave of it what they allow. A velocity of `servo_axis`
+    /// goes on beside it.
     ///
     /// # Errors
     /// Not enabled and homed; a number that is not finite; faster than a slide, or than a turning joint.
@@ -89,8 +91,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// `compliance/servo_cf`: follow the hand, and this wrench (N, N·m) beside it, until the next command, at most
-    /// `servo_timeout_s`. A velocity of `servo_axis` goes on beside it.
+    /// `compliance/servo_cf`: follow the hand, and this wrench (N, N·m) beside it, until the next command, at
+    /// most `servo_timeout_s`. A velocity of `servo_axis` goes on beside it.
     ///
     /// # Errors
     /// Not enabled and homed; a number that is not finite; a force above the handle's limit.
@@ -114,8 +116,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// `axis/servo_cv`: add the part along the tool of a twist to what `servo_cv` or the hand does, until it is sent
-    /// again, at most `servo_timeout_s`; pre-empts any other motion.
+    /// `axis/servo_cv`: add the part along the tool of a twist to what `servo_cv` or the hand does, until it
+    /// is sent again, at most `servo_timeout_s`; pre-empts any other motion.
     ///
     /// # Errors
     /// As `servo_cv`.
@@ -199,7 +201,8 @@ impl<D: Drive> Arm<D> {
         self.pre_empt(Motion::Hold);
     }
 
-    /// CRTK `state_command`: `enable`, `disable`, `pause`, `resume`, `home`, `unhome`. `home` moves to `Settings::home`.
+    /// CRTK `state_command`: `enable`, `disable`, `pause`, `resume`, `home`, `unhome`. `home` moves to
+    /// `Settings::home`.
     ///
     /// # Errors
     /// Another word; a command the CRTK table does not allow now.
@@ -232,7 +235,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// Puts one fixture (frame in the base frame) beside those of `set_fixtures`, in the place of the last guard.
+    /// Puts one fixture (frame in the base frame) beside those of `set_fixtures`, in the place of the last
+    /// guard.
     ///
     /// # Errors
     /// As `set_fixtures`; the guard before stays.
@@ -242,7 +246,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// Puts fixtures back that were in force before, frames in the kinematic base: the arm may stand outside of them.
+    /// Puts fixtures back that were in force before, frames in the kinematic base: the arm may stand outside
+    /// of them.
     pub fn restore_fixtures(&mut self, fixtures: Fixtures) {
         self.fixtures = fixtures;
     }
@@ -262,8 +267,8 @@ impl<D: Drive> Arm<D> {
         Ok(())
     }
 
-    /// CRTK `set_base_frame`: where the kinematic base stands in the frame of all poses from now on. Nothing moves, and
-    /// fixtures stay where they are.
+    /// CRTK `set_base_frame`: where the kinematic base stands in the frame of all poses from now on. Nothing
+    /// moves, and fixtures stay where they are.
     pub fn set_base_frame(&mut self, base: &Isometry3<f64>) {
         self.base = *base;
     }
@@ -312,7 +317,7 @@ fn halves(v: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
     (v.fixed_rows::<3>(0).into_owned(), v.fixed_rows::<3>(3).into_owned())
 }
 
-/// Refuses what is above `limit`, and what is no number.
+/// Refuses a value above `limit`, and one that is no number.
 fn at_most(what: &'static str, v: Vector3<f64>, limit: f64, unit: &'static str) -> Result<(), ArmError> {
     let value = v.norm();
     // A rounding is no reason to refuse a goal at the limit.

@@ -7,7 +7,7 @@ use nalgebra::{Vector3, Vector6};
 use crate::joints::Joints;
 use crate::trajectory::Trajectory;
 
-/// What rounding leaves of a time that is over, s.
+/// Remainder that rounding leaves of a time that is over, s.
 const OVER_S: f64 = 1e-9;
 
 #[expect(clippy::large_enum_variant, reason = "a box would allocate on the step path")]
@@ -39,7 +39,7 @@ impl Motion {
         }
     }
 
-    /// A motion by velocity or force that nobody has repeated in time.
+    /// A motion by velocity or force that was not repeated in time.
     pub(super) fn is_over(&self) -> bool {
         match self {
             Motion::ServoVelocity { left_s, .. } => *left_s <= OVER_S,
@@ -63,7 +63,7 @@ pub(super) struct Move {
     pub(super) ends: Ends,
 }
 
-/// What the end of a trajectory means.
+/// Meaning of a trajectory's end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ends {
     /// `interpolate_*`: nothing.
@@ -79,7 +79,8 @@ pub(super) enum Ends {
 pub(super) struct Tip {
     /// `servo_cv`, m/s and rad/s, kinematic base.
     twist: Timed<Vector6<f64>>,
-    /// Force beside the hand's (N, N·m, kinematic base) of `compliance/servo_cf`: while it lasts the hand is followed.
+    /// Force beside the hand's (N, N·m, kinematic base) of `compliance/servo_cf`: while it lasts the hand is
+    /// followed.
     force: Timed<Vector6<f64>>,
     /// `axis/servo_cv`, m/s along the tool.
     axis: Timed<f64>,
@@ -122,7 +123,8 @@ impl Tip {
         (self.force.left_s > 0.0).then_some(self.force.value)
     }
 
-    /// The twist of this period, kinematic base. `hand` is the one of the hand, `axis` the direction of the tool.
+    /// Returns the twist of this period, kinematic base. `hand` is the twist of the hand, `axis` the
+    /// direction of the tool.
     pub(super) fn take(&mut self, hand: &Vector6<f64>, axis: &Vector3<f64>, dt_s: f64) -> Vector6<f64> {
         let mut sum = self.twist.take(dt_s).unwrap_or_default();
         if self.force.take(dt_s).is_some() {

@@ -1,6 +1,6 @@
-//! What an arm tells of itself.
+//! Readings of an arm.
 //!
-//! Invariant: nothing here changes the arm; all of it is of the end of the last step.
+//! Invariant: nothing here changes the arm; all readings are of the end of the last step.
 
 use nalgebra::{Isometry3, SMatrix, Vector6};
 use trocar_sdk::crtk::OperatingStateMachine;
@@ -22,7 +22,7 @@ impl<D: Drive> Arm<D> {
         self.fault
     }
 
-    /// What was set.
+    /// Returns the settings.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -32,12 +32,12 @@ impl<D: Drive> Arm<D> {
         self.measured
     }
 
-    /// Where the joints should be (m, rad) and how fast (m/s, rad/s).
+    /// Returns the setpoint of the joints (m, rad) and their velocities (m/s, rad/s).
     pub fn setpoint(&self) -> Measured {
         self.setpoint
     }
 
-    /// What the drive is.
+    /// Returns the drive.
     pub fn drive(&self) -> &D {
         &self.drive
     }
@@ -47,7 +47,7 @@ impl<D: Drive> Arm<D> {
         &self.fixtures
     }
 
-    /// What follows when whoever moves the arm falls silent.
+    /// Returns the way back that follows when the arm's client falls silent.
     pub fn retreat(&self) -> Option<Retreat> {
         self.retreat
     }
@@ -57,7 +57,7 @@ impl<D: Drive> Arm<D> {
         self.admittance.law.gain
     }
 
-    /// Where the kinematic base stands in the frame of `set_base_frame`.
+    /// Returns the place of the kinematic base in the frame of `set_base_frame`.
     pub fn base(&self) -> Isometry3<f64> {
         self.base
     }
@@ -67,7 +67,7 @@ impl<D: Drive> Arm<D> {
         self.motion.is_position_based()
     }
 
-    /// Where the running motion ends, m and rad; none for one by velocity or force, which has no end.
+    /// Returns the end of the running motion, m and rad; none for one by velocity or force, which has no end.
     pub fn goal(&self) -> Option<Joints> {
         match &self.motion {
             Motion::Hold => Some(self.setpoint.position),

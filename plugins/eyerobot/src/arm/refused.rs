@@ -19,7 +19,7 @@ pub enum Fault {
     Limit {
         /// Which joint.
         joint: usize,
-        /// Where it stands, m or rad.
+        /// Its position, m or rad.
         value: f64,
         /// The limit that it left, m or rad.
         limit: f64,
@@ -75,20 +75,20 @@ pub enum ArmError {
     Pose(Unreachable),
     /// A value above what the tip may do.
     Above {
-        /// What is too large: "linear speed".
+        /// Quantity that is too large: "linear speed".
         what: &'static str,
         /// Its size.
         value: f64,
         /// Largest size that is taken.
         limit: f64,
-        /// Of both.
+        /// Unit of both.
         unit: &'static str,
     },
     /// A gain of hands-on control that is negative, not finite, or too large.
     Gain {
         /// Place in x, y, z, about x, y, z.
         place: usize,
-        /// What came.
+        /// Value that came.
         value: f64,
         /// Largest one that is taken.
         limit: f64,
@@ -97,13 +97,13 @@ pub enum ArmError {
     Retreat {
         /// Which one: "distance".
         what: &'static str,
-        /// What came.
+        /// Value that came.
         value: f64,
         /// Smallest one that is taken.
         least: f64,
         /// Largest one that is taken.
         limit: f64,
-        /// Of both.
+        /// Unit of value and limits.
         unit: &'static str,
     },
     /// A virtual fixture that cannot be.

@@ -1,7 +1,8 @@
-//! The way back along the tool, which the arm takes by itself when whoever moved it falls silent.
+//! The way back along the tool, which the arm takes by itself when its client falls silent.
 //!
-//! Invariant: it begins from rest, once for each time it is set, and never after another command; what moves may come near a tip
-//! that stands, so the one who sees it sets the way before, and the arm needs nobody to take it.
+//! Invariant: it begins from rest, once for each time it is set, and never after another command. A moving
+//! surface may come near a tip that stands, so a client that sees it sets the way before, and the arm needs
+//! no further command to take it.
 
 use trocar_sdk::data;
 
@@ -21,19 +22,19 @@ const FASTEST_M_S: f64 = 0.1;
 /// Lowest speed, m/s; also of a slide that has next to no part in the way.
 const LEAST_M_S: f64 = 1e-6;
 
-/// What follows when a motion by velocity or force is not repeated in time.
+/// Way back that follows when a motion by velocity or force is not repeated in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Retreat {
     /// Back along the tool, m.
     pub distance_m: f64,
-    /// Of the tip, at most, m/s.
+    /// Highest speed of the tip, m/s.
     pub speed_m_s: f64,
     /// From the brake to the way back, s.
     pub delay_s: f64,
 }
 
 impl Retreat {
-    /// Of a payload; none where it says 0 m.
+    /// Returns the way back that a payload describes; none if it says 0 m.
     ///
     /// # Errors
     /// A number that is not finite or not within its limits.
@@ -60,7 +61,7 @@ impl Retreat {
         })
     }
 
-    /// Where it ends from `q` (m, rad): straight back along the tool, as far as the slides go.
+    /// Returns its end from `q` (m, rad): straight back along the tool, as far as the slides go.
     fn end(&self, q: &Joints, limits: &Limits) -> Joints {
         let way = tool_axis(q) * -self.distance_m;
         let room = |i: usize| match way[i] {
@@ -81,10 +82,11 @@ impl Retreat {
 }
 
 impl<D: Drive> Arm<D> {
-    /// Sets what follows when a motion by velocity or force that is commanded from now on is not repeated in time.
+    /// Sets what follows when a motion by velocity or force that is commanded from now on is not repeated in
+    /// time.
     pub fn set_retreat(&mut self, retreat: Option<Retreat>) {
         self.retreat = retreat;
-        // Who fell silent before has nothing to do with it.
+        // A client that fell silent before has nothing to do with it.
         self.silent_s = None;
     }
 

@@ -1,4 +1,4 @@
-//! The way back of an arm that nobody moves any more, and when it is not taken.
+//! The way back of an arm whose client fell silent, and cases in which it is not taken.
 //!
 //! Invariant: time is counted in periods of `DT`, never read from a clock.
 
@@ -13,7 +13,7 @@ fn tip(arm: &Arm<SimulatedDrive>) -> Vector3<f64> {
     arm.measured_cp().translation.vector
 }
 
-/// Somebody moves the tip aside for a while, and falls silent.
+/// Moves the tip aside for a while, and falls silent.
 fn move_and_fall_silent(arm: &mut Arm<SimulatedDrive>) {
     for _ in 0..50 {
         arm.servo_cv(&Vector6::new(1e-3, 0.0, 0.0, 0.0, 0.0, 0.0)).expect("ready");

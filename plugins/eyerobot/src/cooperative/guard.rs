@@ -1,7 +1,9 @@
-//! The plane behind which a led tip stays: it follows the retina while that is seen, and is careful while it is not.
+//! The plane behind which a led tip stays: it follows the retina while that is seen, and is careful while it
+//! is not.
 //!
-//! Invariant: pure arithmetic of what it is told; the plane comes towards the tip at once and goes away slowly, so that one wrong distance
-//! (a deeper layer in the place of the surface) does not open the way. Units m and s, everything in the robot's base frame.
+//! Invariant: pure arithmetic on its inputs. The plane comes towards the tip at once and goes away slowly, so
+//! that one wrong distance (a deeper layer in the place of the surface) does not open the way. Units m and s,
+//! everything in the robot's base frame.
 
 use trocar_oct_core::tip::{TipTravel, axis_of};
 use trocar_sdk::data::{Distance, FixtureKind, Pose, VirtualFixture};
@@ -12,18 +14,21 @@ use crate::fixture::STIFFEST_PER_S;
 
 /// A surface that was not seen for this long is not seen, s.
 const LOST_S: f64 = 0.05;
-/// The plane goes away from the tip at most so fast, m/s: as fast as a retina moves with pulse and breath and falls off under a led tip.
+/// The plane goes away from the tip at most so fast, m/s: as fast as a retina moves with pulse and breath and
+/// falls off under a led tip.
 const AWAY_M_S: f64 = 1e-3;
 /// No surface moves faster by itself, m/s.
 const FASTEST_M_S: f64 = 2e-3;
-/// While the surface is not seen the plane rises by this part of the way to the side: a globe of 12 mm does so 6 mm beside its apex.
+/// While the surface is not seen the plane rises by this part of the way to the side: a globe of 12 mm does
+/// so 6 mm beside its apex.
 const RISE: f64 = 0.5;
 /// A tool that leans further from z than by 60° is not led: what it sees is not below it.
 const LEAST_COSINE: f64 = 0.5;
-/// The tip may be this far beyond the plane when that is set, m: the robot refuses planes further away, and brings the tip back slowly.
+/// The tip may be this far beyond the plane when that is set, m: the robot refuses planes further away, and
+/// brings the tip back slowly.
 const BEYOND_M: f64 = 50e-6;
 
-/// What is set.
+/// Settings of the guard.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     /// From the plane to the surface, m.
@@ -32,15 +37,15 @@ pub(super) struct Bounds {
     pub(super) lowest_z_m: f64,
 }
 
-/// What is known of tip and surface.
+/// Knowledge of tip and surface.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Guard {
     travel: TipTravel,
     pose: Pose,
     seen: Option<Seen>,
-    /// Where the plane stood on the tool's axis when it was last computed from a surface or a cone.
+    /// Place of the plane on the tool's axis when it was last computed from a surface or a cone.
     border: Option<Border>,
-    /// Where the plane was on the tool's axis when the surface was lost, m.
+    /// Place of the plane on the tool's axis when the surface was lost, m.
     lost: Option<[f64; 3]>,
 }
 
@@ -67,7 +72,8 @@ impl Guard {
         }
     }
 
-    /// A distance from the tip to the surface; those that are not valid or of a time without poses say nothing.
+    /// Takes a distance from the tip to the surface; one that is not valid or of a time without poses says
+    /// nothing.
     pub(super) fn distance(&mut self, told: &Distance) {
         let is_one = told.valid.get() && told.distance > 0.0 && told.distance <= FURTHEST_M;
         let Some(travel_m) = self.travel.at(told.stamp.ns()).filter(|_| is_one) else { return };
@@ -81,8 +87,9 @@ impl Guard {
         self.seen.is_some_and(|seen| now.seconds_since(seen.stamp).abs() <= LOST_S)
     }
 
-    /// The plane for this moment, and how far below the tip it lies, m; none where nothing says where it should be. It lies across
-    /// z, as the retina does on the whole: under a tool that leans, one across the tool would let the tip go aside into it.
+    /// Returns the plane for this moment, and how far below the tip it lies, m; none if nothing says where it
+    /// should be. It lies across z, as the retina does on the whole: under a tool that leans, one across the
+    /// tool would let the tip go aside into it.
     pub(super) fn plane(&mut self, now: Stamp, bounds: &Bounds) -> Option<(VirtualFixture, f64)> {
         let axis = axis_of(&self.pose.orientation).filter(|axis| axis[2] > LEAST_COSINE)?;
         let travel_m = self.travel.at(self.pose.stamp.ns())?;

@@ -1,12 +1,12 @@
 //! Simulated motors and encoders of five joints.
 //!
-//! Invariant: a function of the seed and the calls only: no clock. `truth` is what the joints do, `cycle` gives what the
-//! encoders see of it.
+//! Invariant: a function of the seed and the calls only: no clock. `truth` is what the joints do, `cycle`
+//! returns what the encoders see of it.
 
 use super::{Drive, Lost, Measured};
 use crate::joints::{Joints, per_kind};
 
-/// How the simulated motors behave. Defaults are design values, not those of a real device.
+/// Behaviour of the simulated motors. Defaults are design values, not those of a real device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Simulation {
     /// Time constant of the velocity loop, s.
@@ -17,7 +17,8 @@ pub struct Simulation {
     pub quantum: Joints,
     /// Commanded speeds below this do not overcome friction, m/s or rad/s.
     pub stick_speed: Joints,
-    /// Play between motor and joint, from one side to the other, m or rad. Encoders sit at the motors and do not see it.
+    /// Play between motor and joint, from one side to the other, m or rad. Encoders sit at the motors and do
+    /// not see it.
     pub backlash: Joints,
     /// A joint that stands whatever is commanded; its place in `joints::NAMES`.
     pub blocked: Option<usize>,
@@ -26,8 +27,8 @@ pub struct Simulation {
 }
 
 impl Default for Simulation {
-    /// 8 ms lag (20 Hz), 0.5 m/s² and 6 rad/s², encoders of 0.5 µm and 9 µrad, friction below 2 µm/s and 36 µrad/s,
-    /// no backlash.
+    /// 8 ms lag (20 Hz), 0.5 m/s² and 6 rad/s², encoders of 0.5 µm and 9 µrad, friction below 2 µm/s and 36
+    /// µrad/s, no backlash.
     fn default() -> Self {
         Simulation {
             lag_s: 0.008,
@@ -41,16 +42,16 @@ impl Default for Simulation {
     }
 }
 
-/// Five simulated motors: velocity loop `v̇ = (v_cmd − v)/τ` with limited acceleration, one period of transport delay,
-/// friction at standstill, play behind the motor, and encoders of finite step. The brake is no part of the loop: it knows no lag,
-/// but the same highest acceleration.
+/// Five simulated motors: velocity loop `v̇ = (v_cmd − v)/τ` with limited acceleration, one period of
+/// transport delay, friction at standstill, play behind the motor, and encoders of finite step. The brake is
+/// no part of the loop: it knows no lag, but the same highest acceleration.
 #[derive(Clone, Debug)]
 pub struct SimulatedDrive {
     setup: Simulation,
-    /// Of the motors.
+    /// Position of the motors.
     position: Joints,
     velocity: Joints,
-    /// Of the joints, behind the play.
+    /// Position and velocity of the joints, behind the play.
     truth: Measured,
     on_the_way: Joints,
     phase: Joints,
@@ -76,7 +77,7 @@ impl SimulatedDrive {
 
     /// Time goes by without cycles: what brakes comes to its end.
     pub fn settle(&mut self) {
-        // Half a minute brakes whatever a drive can do.
+        // Half a minute brakes any speed of a drive.
         for _ in 0..30_000 {
             if !self.braking {
                 return;
@@ -107,12 +108,12 @@ impl SimulatedDrive {
         self.truth.velocity[i] = if carried { after } else { 0.0 };
     }
 
-    /// Where the joints really are and how fast they move, m, rad and per second: what no encoder shows.
+    /// Returns the true positions and velocities of the joints, m, rad and per second: no encoder shows them.
     pub fn truth(&self) -> Measured {
         self.truth
     }
 
-    /// What encoders say at the end of the last cycle, m, rad and per second.
+    /// Returns the encoders' readings at the end of the last cycle, m, rad and per second.
     pub fn measured(&self) -> Measured {
         let position = Joints::from_fn(|i, _| {
             let (q, phase, step) = (self.position[i], self.phase[i], self.setup.quantum[i]);

@@ -1,7 +1,8 @@
 //! The interface `arm`: the CRTK commands and queries in the base frame.
 //!
-//! Invariant: names and payloads are CRTK's; each command is one call of the arm. What is sent at a rate (`servo_*`, `interpolate_*`) is
-//! carried out only in time; a `move_*` is decided once, and is carried out whenever it comes.
+//! Invariant: names and payloads are CRTK's; each command is one call of the arm. Commands sent at a rate
+//! (`servo_*`, `interpolate_*`) are carried out only in time; a `move_*` is decided once, and is carried out
+//! however late it comes.
 
 use trocar_sdk::data::{CartesianState, JointConfiguration, JointState, OperatingState, Pose, Twist, Wrench};
 use trocar_sdk::prelude::*;
@@ -37,25 +38,25 @@ impl EyeRobot {
         CartesianState { stamp, pose, twist: s.measured_cv, wrench: Wrench::default() }
     }
 
-    /// Where the joints are sent, and how fast.
+    /// Setpoint of the joints, and their speed.
     #[read]
     fn setpoint_js(s: &EyeRobotState) -> JointState {
         s.setpoint_js
     }
 
-    /// Where the tip is sent; stamp 0 while it is moved by velocity or force.
+    /// Setpoint of the tip; stamp 0 while it is moved by velocity or force.
     #[read]
     fn setpoint_cp(s: &EyeRobotState) -> Pose {
         s.setpoint_cp
     }
 
-    /// How fast the tip is sent, in the base frame.
+    /// Setpoint of the tip's velocity, in the base frame.
     #[read]
     fn setpoint_cv(s: &EyeRobotState) -> Twist {
         s.setpoint_cv
     }
 
-    /// Where the running motion ends; stamp 0 for one by velocity or force.
+    /// End of the running motion; stamp 0 for one by velocity or force.
     #[read]
     fn goal_js(s: &EyeRobotState) -> JointState {
         s.goal_js
@@ -91,7 +92,7 @@ impl EyeRobot {
         s.operating_state.is_busy
     }
 
-    /// Where the arm's kinematic base stands in the base frame.
+    /// Pose of the arm's kinematic base in the base frame.
     #[read]
     fn base_frame(s: &EyeRobotState) -> Pose {
         s.base_frame
@@ -137,15 +138,16 @@ impl EyeRobot {
         self.arm.servo_cp(&goal.isometry()?)
     }
 
-    /// Changes the setpoint of the tip by this much now: the translation is added, the rotation turns the tip about
-    /// itself, both along the axes of the base frame.
+    /// Changes the setpoint of the tip by this much now: the translation is added, the rotation turns the tip
+    /// about itself, both along the axes of the base frame.
     #[command(overflow = "latest_wins")]
     fn servo_cr(&mut self, change: &Pose) -> Result<(), ArmError> {
         self.require_in_time(change.stamp)?;
         self.arm.servo_cr(&change.isometry()?)
     }
 
-    /// Moves the tip with a twist until the next command, at most for servo_timeout_s; axis/servo_cv is added to it.
+    /// Moves the tip with a twist until the next command, at most for servo_timeout_s; axis/servo_cv is added
+    /// to it.
     #[command(overflow = "latest_wins")]
     fn servo_cv(&mut self, twist: &Twist) -> Result<(), ArmError> {
         self.require_in_time(twist.stamp)?;
@@ -163,7 +165,8 @@ impl EyeRobot {
         self.arm.interpolate_jp(&goal.position)
     }
 
-    /// Brings the tip to a pose along a trajectory of the joints, without being busy: for goals that come slowly.
+    /// Brings the tip to a pose along a trajectory of the joints, without being busy: for goals that come
+    /// slowly.
     #[command(overflow = "latest_wins")]
     fn interpolate_cp(&mut self, goal: &Pose) -> Result<(), ArmError> {
         self.require_in_time(goal.stamp)?;
@@ -200,7 +203,8 @@ impl EyeRobot {
         Ok(())
     }
 
-    /// Changes the setpoint of the tip by this much, as servo_cr does, along a trajectory; is_busy until it has ended.
+    /// Changes the setpoint of the tip by this much, as servo_cr does, along a trajectory; is_busy until it
+    /// has ended.
     #[command]
     fn move_cr(&mut self, change: &Pose) -> Result<(), ArmError> {
         self.arm.move_cr(&change.isometry()?)?;
@@ -223,7 +227,8 @@ impl EyeRobot {
         Ok(())
     }
 
-    /// Says where the arm's kinematic base stands in the frame of all poses, twists and wrenches of this interface.
+    /// Says where the arm's kinematic base stands in the frame of all poses, twists and wrenches of this
+    /// interface.
     #[command]
     fn set_base_frame(&mut self, base: &Pose) -> Result<(), ArmError> {
         self.arm.set_base_frame(&base.isometry()?);

@@ -1,4 +1,4 @@
-//! What tests of the component share: a hand that pushes, words, and the true tip.
+//! Common parts of the component's tests: a hand that pushes, words, and the true tip.
 //!
 //! Invariant: judged against the true tip, in virtual time, with fixed seeds. All of it is simulation.
 #![allow(clippy::unwrap_used)]

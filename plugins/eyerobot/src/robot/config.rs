@@ -13,14 +13,14 @@ use crate::kinematics::Kinematics;
 
 #[derive(Config)]
 pub(super) struct EyeRobotConfig {
-    /// Enables the arm at Start, and homes it if it stands at home, so that motions are taken at once; nothing moves. Without
-    /// it, send state_command "enable", then "home", which moves to the rest pose
+    /// Enables the arm at Start, and homes it if it stands at home, so that motions are taken at once;
+    /// nothing moves. Without it, send state_command "enable", then "home", which moves to the rest pose
     #[config(default = true)]
     pub(super) auto_enable: bool,
     /// Seed of the simulation: where the encoders' steps lie, and how the simulated hand moves
     #[config(default = 1)]
     pub(super) seed: u64,
-    /// Who holds the handle while the input handle has nothing: nobody, or the hand of the simulated world
+    /// Hand on the handle while the input handle has nothing: none, or that of the simulated world
     #[config(one_of = ["none", "simulated"], default = "none")]
     pub(super) hand: String,
     /// At home the tip stands this far above the origin of the simulated world, along the tool
@@ -32,8 +32,8 @@ pub(super) struct EyeRobotConfig {
     /// Tilt at home: how far the tool leans from the axis of the simulated eye
     #[config(min = -1.5, max = 1.5, unit = "rad", default = 0.0)]
     rest_tilt_rad: f64,
-    /// From the tip at home up the shaft to the wall of the eye: the shaft passes there always (remote centre of motion),
-    /// whatever fixtures are set; 0 is no wall
+    /// From the tip at home up the shaft to the wall of the eye: the shaft passes there always (remote centre
+    /// of motion), whatever fixtures are set; 0 is no wall
     #[config(min = 0.0, max = 0.05, unit = "m", default = 0.0)]
     pub(super) port_m: f64,
     /// Length of the tool
@@ -48,7 +48,8 @@ pub(super) struct EyeRobotConfig {
     /// Largest tilt to each side
     #[config(min = 0.01, max = 1.5, unit = "rad", default = 0.7853981633974483)]
     tilt_rad: f64,
-    /// Highest speed of a slide; at most what acceleration_m_s2 brakes before a border: a thirtieth of it per second
+    /// Highest speed of a slide; at most what acceleration_m_s2 brakes before a border: a thirtieth of it per
+    /// second
     #[config(min = 0.0001, max = 0.1, unit = "m/s", default = 0.01)]
     speed_m_s: f64,
     /// Highest speed of a turning joint; at most a thirtieth of acceleration_rad_s2
@@ -60,12 +61,12 @@ pub(super) struct EyeRobotConfig {
     /// Highest acceleration of a turning joint
     #[config(min = 0.01, max = 6.0, unit = "rad/s^2", default = 6.0)]
     acceleration_rad_s2: f64,
-    /// A motion by velocity or force that is not repeated for this long is braked and held: for clients that send less than 125
-    /// times per second, make it longer
+    /// A motion by velocity or force that is not repeated for this long is braked and held: for clients that
+    /// send less than 125 times per second, make it longer
     #[config(min = 0.002, max = 10.0, unit = "s", default = 0.008)]
     servo_timeout_s: f64,
-    /// A servo command whose stamp is older than this and a period of the robot, or as far ahead, lay in wait or is of another
-    /// clock, and is refused and counted; stamp 0 is taken as now
+    /// A servo command whose stamp is older than this and a period of the robot, or as far ahead, lay in wait
+    /// or is of another clock, and is refused and counted; stamp 0 is taken as now
     #[config(min = 0.001, max = 10.0, unit = "s", default = 0.01)]
     pub(super) command_age_s: f64,
     /// Play of the simulated slides, from one side to the other
@@ -108,7 +109,7 @@ impl EyeRobotConfig {
         ] {
             let most = brakes / STIFFEST_PER_S;
             if asked > most {
-                // What is named must be taken: three digits, rounded down.
+                // The named value must be one that is taken: three digits, rounded down.
                 let digits = (2.0 - most.log10().floor()).max(0.0) as usize;
                 let step = 0.1f64.powi(digits as i32);
                 let named = (most / step * (1.0 + 1e-9)).floor() * step;

@@ -1,4 +1,4 @@
-//! Forbidden regions, guard and retreat on the component: whatever commands the arm, the tip stays out.
+//! Forbidden regions, guard and retreat on the component: the tip stays out under all commands.
 #![allow(clippy::unwrap_used)]
 
 use trocar_phantom::Hand;

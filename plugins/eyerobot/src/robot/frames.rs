@@ -44,7 +44,7 @@ impl EyeRobot {
     }
 }
 
-/// Where the tip really is in the simulated world: behind encoders and backlash.
+/// True place of the tip in the simulated world: behind encoders and backlash.
 #[provides("truth", tag = "truth")]
 impl EyeRobot {
     /// True pose of the tip.

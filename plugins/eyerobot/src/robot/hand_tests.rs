@@ -103,7 +103,7 @@ fn a_hand_that_leads_the_handle_through_its_stiffness_is_followed_without_a_swin
     let gone = |n: usize| way[n][0] - way[0][0];
     let furthest = (0..way.len()).map(gone).fold(0.0, f64::max);
     assert!(furthest < 0.51e-3, "it swings to {furthest}");
-    // What the dead band of 30 mN leaves is 15 µm of the hand's stiffness, at a speed that falls to nothing.
+    // The dead band of 30 mN leaves 15 µm of the hand's stiffness, at a speed that falls to nothing.
     assert!(gone(3_499) > 0.47e-3, "{}", gone(3_499));
 }
 

@@ -1,4 +1,5 @@
-//! The interfaces `hand`, `compliance`, `axis` and `virtual_fixture`: hands-on control and what shares the tip with it.
+//! The interfaces `hand`, `compliance`, `axis` and `virtual_fixture`: hands-on control and what shares the
+//! tip with it.
 //!
 //! Invariant: nothing here moves the arm by itself; hand, axis and fixtures meet in the arm's one step.
 
@@ -24,7 +25,8 @@ impl EyeRobot {
 /// Hands-on control.
 #[provides("compliance")]
 impl EyeRobot {
-    /// Follows the hand, and this force (in the base frame) beside it, for servo_timeout_s; zero follows the hand alone.
+    /// Follows the hand, and this force (in the base frame) beside it, for servo_timeout_s; zero follows the
+    /// hand alone.
     #[command(overflow = "latest_wins")]
     fn servo_cf(&mut self, wrench: &Wrench) -> Result<(), ArmError> {
         self.require_in_time(wrench.stamp)?;
@@ -52,15 +54,17 @@ impl EyeRobot {
 /// The direction of the tool, for a controller that shares the arm with a hand or a scan.
 #[provides("axis")]
 impl EyeRobot {
-    /// Adds the part along the tool of this twist (base frame) to what servo_cv or the hand does, for servo_timeout_s.
+    /// Adds the part along the tool of this twist (base frame) to what servo_cv or the hand does, for
+    /// servo_timeout_s.
     #[command(name = "servo_cv", overflow = "latest_wins")]
     fn axis_servo_cv(&mut self, twist: &Twist) -> Result<(), ArmError> {
         self.require_in_time(twist.stamp)?;
         self.arm.servo_axis(&twist.vector()?)
     }
 
-    /// Says what the arm does when a motion by velocity or force is not repeated for servo_timeout_s: it goes back along the tool, once.
-    /// For a controller that keeps the tip from what moves, and may die; 0 m takes it away.
+    /// Says what the arm does when a motion by velocity or force is not repeated for servo_timeout_s: it goes
+    /// back along the tool, once. For a controller that keeps the tip from what moves, and may die; 0 m takes
+    /// it away.
     #[command]
     fn set_retreat(
         &mut self,
@@ -71,14 +75,14 @@ impl EyeRobot {
         Ok(())
     }
 
-    /// What the arm does when whoever moves it falls silent; 0 m: it brakes and stays.
+    /// Way back that the arm takes when its client falls silent; 0 m: it brakes and stays.
     #[read]
     fn retreat(s: &EyeRobotState) -> Retreat {
         s.retreat
     }
 }
 
-/// Where the tip may go and how the tool may turn, in every motion.
+/// Bounds for the place of the tip and the turn of the tool, in every motion.
 #[provides("virtual_fixture")]
 impl EyeRobot {
     /// Puts these fixtures in the place of those before; an empty list takes all away.
@@ -100,8 +104,8 @@ impl EyeRobot {
         Ok(())
     }
 
-    /// Puts one fixture more beside those of `set`, in the place of the last guard: for a controller that moves it with what it
-    /// watches. Kind 0 takes it away; nothing else does.
+    /// Puts one fixture more beside those of `set`, in the place of the last guard: for a controller that
+    /// moves it with what it watches. Kind 0 takes it away; nothing else does.
     #[command(overflow = "latest_wins")]
     fn set_guard(
         &mut self,

@@ -1,8 +1,10 @@
-//! How the simulated arm stands at the simulated eye: its base in the world, and the port that its shaft goes through.
+//! Place of the simulated arm at the simulated eye: its base in the world, and the port that its shaft goes
+//! through.
 //!
-//! Invariant: set by the configuration alone, the axes of the base are those of the world. At home the tool points at the
-//! world's origin, and its shaft goes through the port, which it never leaves. Unless `set_base_frame` says otherwise, the world's
-//! origin has the coordinates 0, 0, tool_length_m + standoff_m in poses, however the arm stands at home.
+//! Invariant: set by the configuration alone, the axes of the base are those of the world. At home the tool
+//! points at the world's origin, and its shaft goes through the port, which it never leaves. Unless
+//! `set_base_frame` says otherwise, the world's origin has the coordinates 0, 0, tool_length_m + standoff_m
+//! in poses, however the arm stands at home.
 
 use nalgebra::{Isometry3, Translation3};
 
@@ -23,7 +25,8 @@ impl EyeRobotConfig {
         Translation3::from(-over.translation.vector).into()
     }
 
-    /// The remote centre of motion where the shaft passes the wall of the eye, in the kinematic base; none without a wall.
+    /// Returns the remote centre of motion where the shaft passes the wall of the eye, in the kinematic base;
+    /// none without a wall.
     pub(super) fn port(&self, settings: &Settings) -> Option<Fixture> {
         let up = Translation3::new(0.0, 0.0, -self.port_m);
         let frame = settings.kinematics.forward(&settings.home) * up;

@@ -1,4 +1,4 @@
-//! How the component stands at the eye: rest pose, base frame, port.
+//! Place of the component at the eye: rest pose, base frame, port.
 #![allow(clippy::unwrap_used)]
 
 use nalgebra::{Point3, Vector3};

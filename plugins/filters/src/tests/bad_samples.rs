@@ -1,14 +1,15 @@
-//! Samples with numbers that nothing can have measured, into every class: left out, counted, and then forgotten.
+//! Samples with numbers that nothing can have measured, into every class: left out, counted, and then
+//! forgotten.
 
 use trocar_sdk::data::{CartesianState, Transform};
 
 use super::*;
 
-/// What no sensor measures.
+/// Numbers that no sensor measures.
 const BAD: [f64; 6] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308, -1e308, -2e100];
 
-/// Runs a class with good samples alone, and with a bad one behind each of them: what comes out is the same, and all bad
-/// ones were counted.
+/// Runs a class with good samples alone, and with a bad one behind each of them: the output is the same, and
+/// all bad ones were counted.
 pub(crate) fn as_if_the_bad_ones_had_not_come<C: Class, T: Payload, U: Payload>(
     (config, input, output): (&str, &str, &str),
     feed: impl Fn(&mut Bench<C>),

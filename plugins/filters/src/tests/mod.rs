@@ -1,4 +1,4 @@
-//! What each filter does to signals whose answer is known, and what it refuses; one file for each class.
+//! Answers of each filter to signals whose answer is known, and its refusals; one file for each class.
 #![allow(clippy::unwrap_used)]
 
 mod add_latency;
@@ -31,7 +31,7 @@ fn scalar(value: f64) -> Scalar {
     Scalar { stamp: Stamp::INVALID, value }
 }
 
-/// What comes out for a signal at 1 kHz.
+/// Returns the output for a signal at 1 kHz.
 fn through<C: Class>(bench: &mut Bench<C>, samples: usize, signal: impl Fn(f64) -> f64) -> Vec<f64> {
     for n in 0..samples {
         bench.push("value", scalar(signal(n as f64 * 1e-3)));

@@ -115,8 +115,8 @@ proptest! {
         let [old, new] = [&from, &to].map(|settings| most(settings));
         let most_before = before.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
         prop_assert!(most_before <= 1.0 + 2.0 * old, "{most_before}: {from}");
-        // The seat is as large as the old design can make it; the new one adds its part of the difference, and
-        // the fading step.
+        // The seat is as large as the old design can make it; the new one adds its part of the difference,
+        // and the fading step.
         let seat = (1.0 + 2.0 * old).max(1.0);
         let bound = seat + new * (1.0 + seat) + 2.0 * seat;
         let most_after = after.iter().fold(0.0, |m: f64, y| m.max(y.abs()));

@@ -10,7 +10,7 @@ use trocar_sdk::prelude::*;
 use super::OctProcessor;
 
 impl OctProcessor {
-    /// One frame; why not, where it cannot be processed.
+    /// Processes one frame; returns the reason if it cannot be processed.
     pub(super) fn frame(&mut self, now: Stamp) -> Option<Result<(), &'static str>> {
         let frame = self.spectra.next()?;
         let Some(works) = &mut self.works else { return Some(Ok(())) };

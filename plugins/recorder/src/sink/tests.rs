@@ -1,4 +1,4 @@
-//! Whatever goes which way: the file is what was written, and at each flush readers find nothing else in it.
+//! Every route of bytes: the file is what was written, and at each flush readers find nothing else in it.
 
 use std::fs::{File, OpenOptions};
 
@@ -20,7 +20,7 @@ fn far_ahead() -> Instant {
     Instant::now() + Duration::from_secs(3600)
 }
 
-/// What follows the written bytes is one filler that ends with the file.
+/// Tells whether the written bytes are followed by one filler that ends with the file.
 fn is_filler(rest: &[u8]) -> bool {
     rest.len() >= RECORD_HEAD
         && rest[0] == FILLER
@@ -34,7 +34,7 @@ fn content(file: &File) -> Vec<u8> {
     bytes
 }
 
-/// What it is told to take from now on, not what the clock makes it.
+/// Makes the sink take this route from now on, instead of the one that the clock would choose.
 fn send_by(sink: &mut Sink, route: Route) {
     sink.looked.0 = far_ahead();
     if sink.route != Route::CachedOnly && sink.route != route {
@@ -54,7 +54,8 @@ fn begins_with(file: &File, all: &[u8], when: &str) -> usize {
 
 #[test]
 fn the_file_is_what_was_written_whichever_way_it_goes() {
-    // Sizes around pages, around what the memory holds, and several of it; around a filler's head before a page's end.
+    // Sizes around pages, around the memory's size, and several of it; around a filler's head before a page's
+    // end.
     let sizes = [
         1,
         9,
@@ -175,7 +176,8 @@ fn what_is_large_is_written_from_where_it_lies_and_the_records_around_it_are_who
         let dir = tempfile::tempdir().expect("a directory");
         let (file, mut sink) = new(&dir);
         let mut all: Vec<u8> = Vec::new();
-        // Wherever a body begins in memory, and whatever comes before it; once so much that memory is full within.
+        // Bodies that begin anywhere in memory, behind anything; once behind so much that memory gets full
+        // within.
         for (n, (at, head)) in (0..120).map(|n| (n * 711 % (2 * PAGE), 1 + n * 97 % 5000)).enumerate() {
             send_by(&mut sink, routes[n % routes.len()]);
             if sink.route == Route::CachedOnly && routes.contains(&Route::Direct) {

@@ -1,6 +1,7 @@
 //! Block matching without special instructions: the definition of what the wide one computes.
 //!
-//! Invariant: `sums` is the sum of the newest `block` columns; disparities that reach beyond the right image are left out.
+//! Invariant: `sums` is the sum of the newest `block` columns; disparities that reach beyond the right image
+//! are left out.
 
 use crate::rows::{BlockRow, Found, pick};
 

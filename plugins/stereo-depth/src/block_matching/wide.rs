@@ -1,7 +1,7 @@
 //! Block matching with AVX2, 32 disparities at a time.
 //!
-//! Invariant: gives what `plain` gives. A difference of two absolute differences fits a signed byte, as prefiltered
-//! values are at most 62.
+//! Invariant: gives what `plain` gives. A difference of two absolute differences fits a signed byte, as
+//! prefiltered values are at most 62.
 
 use core::arch::x86_64::*;
 
@@ -9,7 +9,8 @@ use crate::rows::{BlockRow, Found};
 use crate::simd::{Block, load, load_bytes, store};
 use crate::wide::{Sums, pick};
 
-/// Lets a row enter and one leave; fills `to` where windows are full. `columns` has `NV` entries for each pixel.
+/// Lets a row enter and one leave; fills `to` where windows are full. `columns` has `NV` entries for each
+/// pixel.
 #[target_feature(enable = "avx2,popcnt")]
 pub(crate) fn row<const NV: usize>(columns: &mut [[Block; 2]], row: &BlockRow<'_>, to: &mut [Found]) {
     let block = row.block;

@@ -4,7 +4,8 @@
 
 use crate::rows::{CensusRow, Found, pick};
 
-/// Costs along the three paths from above, of the row above and of this one, with a pixel of zeros at both ends.
+/// Costs along the three paths from above, of the row above and of this one, with a pixel of zeros at both
+/// ends.
 pub(crate) struct Plain {
     n_disp: usize,
     above: [Vec<u8>; 3],

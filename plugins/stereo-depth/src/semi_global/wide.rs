@@ -14,7 +14,8 @@ type Costs<const NV: usize> = [__m256i; NV];
 /// Costs along the paths, and what one row needs.
 pub(crate) struct Wide {
     vectors: usize,
-    /// Along the three paths from above, pixel after pixel, with one of zeros at both ends; the row above and this one.
+    /// Along the three paths from above, pixel after pixel, with one of zeros at both ends; the row above and
+    /// this one.
     rows: [Vec<Block>; 2],
     /// The least of each of them.
     least: [Vec<[u8; 3]>; 2],

@@ -1,6 +1,7 @@
 //! `color`: stereo frames from one pixel format to another.
 //!
-//! Invariant: frames that have the wanted format already pass without a copy; stamps and indices are those of the source.
+//! Invariant: frames that have the wanted format already pass without a copy; stamps and indices are those of
+//! the source.
 
 use trocar_sdk::FrameView;
 use trocar_sdk::data::StereoHeader;

@@ -1,6 +1,7 @@
 //! `debayer`: the colours of a sensor with a colour filter.
 //!
-//! Invariant: what comes as RGB8 or GRAY8 already passes without a copy; stamps and indices are those of the source.
+//! Invariant: what comes as RGB8 or GRAY8 already passes without a copy; stamps and indices are those of the
+//! source.
 
 use trocar_sdk::FrameView;
 use trocar_sdk::data::{PixelFormat, StereoHeader};

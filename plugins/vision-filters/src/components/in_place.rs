@@ -1,4 +1,5 @@
-//! Filters that change a frame where it lies, or a copy of it when others read it, too, or when its images share rows.
+//! Filters that change a frame where it lies, or a copy of it when others read it, too, or when its images
+//! share rows.
 //!
 //! Invariant: what goes out has the header that came in, but for a copy, whose rows touch.
 

@@ -1,7 +1,7 @@
 //! The inset of `pip`: what came last, brought to the size that is asked for, once.
 //!
-//! Invariant: memory is made by `reserve` alone, for an inset as large as the largest frame; what is kept is the inset that
-//! came last in the size asked for last, or nothing.
+//! Invariant: memory is made by `reserve` alone, for an inset as large as the largest frame; what is kept is
+//! the inset that came last in the size asked for last, or nothing.
 
 use trocar_sdk::FrameView;
 use trocar_sdk::data::{ImageHeader, StereoHeader};
@@ -85,7 +85,8 @@ impl Scaled {
         (self.most, self.last) = (most, None);
     }
 
-    /// Both images of the inset in the size that is asked for; none when it cannot be shown, which `tally` tells once.
+    /// Both images of the inset in the size that is asked for; none when it cannot be shown, which `tally`
+    /// tells once.
     pub(super) fn ready<'a>(
         &'a mut self,
         given: &Given<'a>,

@@ -1,7 +1,7 @@
 //! `overlay`: text, lines and pictures over stereo frames, set by commands while they run.
 //!
-//! Invariant: items are drawn in the order of their numbers; a number has at most one item; a step allocates nothing. Files
-//! are read only while it does not run.
+//! Invariant: items are drawn in the order of their numbers; a number has at most one item; a step allocates
+//! nothing. Files are read only while it does not run.
 
 use trocar_sdk::data::StereoHeader;
 use trocar_sdk::prelude::*;

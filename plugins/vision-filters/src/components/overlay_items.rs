@@ -1,6 +1,7 @@
 //! What `overlay` can draw: its payloads, the places of its items, the files of its pictures.
 //!
-//! Invariant: an item that has a place is drawn in the eyes it names, and touches no pixel outside of the image.
+//! Invariant: an item that has a place is drawn in the eyes it names, and touches no pixel outside of the
+//! image.
 
 use std::path::Path;
 

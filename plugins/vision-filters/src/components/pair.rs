@@ -1,6 +1,8 @@
-//! Stereo frames as views: both images of a received frame, both images of a frame to be filled, and the count of both.
+//! Stereo frames as views: both images of a received frame, both images of a frame to be filled, and the
+//! count of both.
 //!
-//! Invariant: header fields come from a peer and are believed only after `View` has checked them against the bytes.
+//! Invariant: header fields come from a peer and are believed only after `View` has checked them against the
+//! bytes.
 
 use trocar_sdk::data::{BadFrame, ImageView, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
@@ -124,8 +126,8 @@ pub(super) fn raw<'a>(frame: &'a FrameView<'_, StereoHeader>) -> Result<[ImageVi
     Ok(frame.images()?)
 }
 
-/// Sends a frame of the same size whose rows are made one by one: `row` makes row `y` of a received image, or says that it
-/// cannot.
+/// Sends a frame of the same size whose rows are made one by one: `row` makes row `y` of a received image, or
+/// says that it cannot.
 pub(super) fn convert(
     frame: &FrameView<'_, StereoHeader>,
     out: &mut Out<Frame<StereoHeader>>,

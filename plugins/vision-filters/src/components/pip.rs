@@ -1,7 +1,7 @@
 //! `pip`: picture in picture, for both eyes, in the frame itself when nobody else reads it.
 //!
-//! Invariant: an old inset is hidden, never shown as if it were new, and one that cannot be shown never takes the big
-//! picture with it; without an inset frames pass without a copy; a step allocates nothing.
+//! Invariant: an old inset is hidden, never shown as if it were new, and one that cannot be shown never takes
+//! the big picture with it; without an inset frames pass without a copy; a step allocates nothing.
 
 use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;

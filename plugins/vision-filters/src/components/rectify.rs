@@ -1,6 +1,7 @@
 //! `rectify`: takes the lens distortion out of stereo frames and turns both images so that their rows agree.
 //!
-//! Invariant: a calibration that cannot be used is refused by `configure`; frames of another size are left out.
+//! Invariant: a calibration that cannot be used is refused by `configure`; frames of another size are left
+//! out.
 
 use std::path::Path;
 

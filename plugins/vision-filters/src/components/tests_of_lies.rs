@@ -1,5 +1,6 @@
-//! Headers that lie, into every class: counted, left out, and the next good frame is taken as if nothing had been; and
-//! frames laid out otherwise, or of another size than the one before. Nothing of this allocates in a step.
+//! Headers that lie, into every class: counted, left out, and the next good frame is taken as if nothing had
+//! been; and frames laid out otherwise, or of another size than the one before. Nothing of this allocates in
+//! a step.
 #![allow(clippy::unwrap_used)]
 
 use super::*;

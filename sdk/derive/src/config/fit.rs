@@ -1,12 +1,14 @@
-//! What may be written as limits, choice and default of a configuration field.
+//! Limits, choice and default that a configuration field may have.
 //!
-//! Invariant: what passes here is a value of the field's schema, so no host refuses the class for its own defaults.
+//! Invariant: a value that passes here fits the field's schema, so no host refuses the class for its own
+//! defaults.
 
 use super::{Settings, inner};
 use crate::attrs;
 use syn::{Expr, ExprLit, Field, Lit, Type};
 
-/// Refuses limits that no value lies within, and a default outside of them: nobody could configure such a class.
+/// Refuses limits that no value lies within, and a default outside of them: nobody could configure such a
+/// class.
 pub(super) fn possible(field: &Field, s: &Settings) -> syn::Result<()> {
     let whole = leaf(&field.ty).and_then(|name| integer_limits(&name)).unwrap_or_default();
     let limit = |text: &str, of_type: &str| {
@@ -48,7 +50,8 @@ pub(super) fn possible(field: &Field, s: &Settings) -> syn::Result<()> {
     Ok(())
 }
 
-/// Refuses limits and choices that the field's type has no use for, and values of another type than the field's.
+/// Refuses limits and choices that the field's type has no use for, and values of another type than the
+/// field's.
 pub(super) fn kinds(field: &Field, s: &Settings) -> syn::Result<()> {
     let Some(leaf) = leaf(&field.ty) else { return Ok(()) };
     let number = !matches!(leaf.as_str(), "bool" | "String");
@@ -119,7 +122,7 @@ fn value_fits(given: &Expr, leaf: &str) -> syn::Result<()> {
         "bool" => (matches!(lit, Some(Lit::Bool(_))), "true or false"),
         "String" => (matches!(lit, Some(Lit::Str(_))), "text in quotation marks"),
         "f64" | "f32" => (number.is_some(), "a number"),
-        // The largest ones do not survive a float, so they are compared as what they are.
+        // The largest numbers do not survive a float, so they are compared as integers.
         "u64" | "usize" => (number.is_some_and(|n| n.starts_with('-') || n.parse::<u64>().is_ok()), "a u64"),
         _ => (number.is_some_and(|n| n.parse::<i64>().is_ok()), "a whole number"),
     };
@@ -153,7 +156,8 @@ fn leaf(ty: &Type) -> Option<String> {
     }
 }
 
-/// JSON text of the smallest and largest value; 64-bit types are limited by JSON itself, except below by zero.
+/// JSON text of the smallest and largest value; 64-bit types are limited by JSON itself, except below by
+/// zero.
 pub(super) fn integer_limits(name: &str) -> Option<(&'static str, &'static str)> {
     Some(match name {
         "u8" => ("0", "255"),

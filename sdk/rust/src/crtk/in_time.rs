@@ -1,12 +1,13 @@
-//! The time of a command: one that lay in wait is not carried out.
+//! The time of a command: a command that waited too long is not carried out.
 //!
-//! Invariant: stamp 0 (CRTK: invalid) says that the client gives none, and is in time; nothing here reads a clock.
+//! Invariant: stamp 0 (CRTK: invalid) says that the client gives none, and is in time; nothing here reads a
+//! clock.
 
 use crate::values::Stamp;
 use core::fmt;
 
-/// For a motion command that is only good when it is new, `servo_*` above all: `stamp` is the command's, `now` the host's clock,
-/// `most_s` the age that is taken, s.
+/// Checks the age of a motion command that is only good when it is new, `servo_*` above all: `stamp` is the
+/// command's, `now` the host's clock, `most_s` the largest age that is taken, s.
 ///
 /// ```
 /// use trocar_sdk::{crtk::require_in_time, prelude::Stamp};
@@ -14,11 +15,14 @@ use core::fmt;
 /// assert!(require_in_time(sent, now, 0.5).is_ok());
 /// assert!(require_in_time(Stamp::INVALID, now, 0.5).is_ok());
 /// let refused = require_in_time(sent, now, 0.1).unwrap_err().to_string();
-/// assert!(refused.starts_with("the command is 0.300 s old by its stamp, at most 0.100 s are taken"), "{refused}");
+/// assert!(
+///     refused.starts_with("the command is 0.300 s old by its stamp, at most 0.100 s are taken"),
+///     "{refused}"
+/// );
 /// ```
 ///
 /// # Errors
-/// Older than `most_s`, or ahead of `now` by more than that: of another clock.
+/// Older than `most_s`, or ahead of `now` by more than that: the stamp is of another clock.
 pub fn require_in_time(stamp: Stamp, now: Stamp, most_s: f64) -> Result<(), OutOfTime> {
     let age_s = now.seconds_since(stamp);
     if !stamp.is_valid() || age_s.abs() <= most_s { Ok(()) } else { Err(OutOfTime { age_s, most_s }) }
@@ -27,9 +31,9 @@ pub fn require_in_time(stamp: Stamp, now: Stamp, most_s: f64) -> Result<(), OutO
 /// Why a command was not in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutOfTime {
-    /// By its stamp, s; negative when it is ahead.
+    /// Age by the stamp, s; negative when the stamp is ahead.
     pub age_s: f64,
-    /// What is taken, s.
+    /// Largest age that is taken, s.
     pub most_s: f64,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: one line per name; the constants and [`NAMES`] come from the same line.
 
-/// How a name is offered.
+/// Form in which a name is offered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Use {
     /// A read.

@@ -1,8 +1,8 @@
 //! The CRTK operating state: what `state_command` does in each state, for any device.
 //!
-//! Invariant: [`OperatingStateMachine::after`] is the transition table of the convention, total over 4 states × 6 words; no
-//! word leads to FAULT, only [`OperatingStateMachine::fault`] does. When `home` and `unhome` are allowed is left open by the
-//! convention and decided here. Nothing allocates.
+//! Invariant: [`OperatingStateMachine::after`] is the transition table of the convention, total over 4 states
+//! × 6 words; no word leads to FAULT, only [`OperatingStateMachine::fault`] does. The convention leaves open
+//! when `home` and `unhome` are allowed; it is decided here. Nothing allocates.
 
 use crate::data::{OperatingMode, OperatingState};
 use crate::values::{Stamp, Text};
@@ -60,7 +60,10 @@ impl StateCommand {
 /// assert!(state.require_ready().is_ok());
 /// state.fault();
 /// let refused = state.command("resume").unwrap_err();
-/// assert_eq!(refused.to_string(), "`resume` is not allowed while the device is FAULT; allowed: enable disable unhome");
+/// assert_eq!(
+///     refused.to_string(),
+///     "`resume` is not allowed while the device is FAULT; allowed: enable disable unhome"
+/// );
 /// assert_eq!(state.mode(), OperatingMode::FAULT);
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -71,7 +74,7 @@ pub struct OperatingStateMachine {
 }
 
 impl OperatingStateMachine {
-    /// As after power-up: DISABLED, not homed.
+    /// State after power-up: DISABLED, not homed.
     pub const INITIAL: Self =
         OperatingStateMachine { mode: OperatingMode::DISABLED, is_homed: false, is_busy: false };
 
@@ -112,8 +115,8 @@ impl OperatingStateMachine {
         Ok(command)
     }
 
-    /// The state after a command. `home` changes nothing by itself: the device says [`Self::move_begins`] when it sets off
-    /// and [`Self::homed`] when it arrives.
+    /// Returns the state after a command. `home` changes nothing by itself: the device says
+    /// [`Self::move_begins`] when it sets off and [`Self::homed`] when it arrives.
     ///
     /// # Errors
     /// The pair is marked invalid in the CRTK table.
@@ -175,7 +178,7 @@ impl OperatingStateMachine {
     }
 }
 
-/// `what` on the stack, cut between characters.
+/// Writes `what` on the stack, cut between characters.
 fn line(what: &dyn Display) -> Text<128> {
     struct Line {
         bytes: [u8; 128],
@@ -234,7 +237,7 @@ impl std::error::Error for Refused {}
 /// A motion was refused: the device is not enabled and homed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotReady {
-    /// In which state it is.
+    /// Its state.
     pub mode: OperatingMode,
 }
 

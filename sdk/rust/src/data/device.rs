@@ -1,6 +1,7 @@
 //! Payloads of trackers, force sensors and input devices.
 //!
-//! Invariant: what is not seen or not there keeps stamp 0 or is absent from its list; nobody reads an old value as a new one.
+//! Invariant: a part that is not seen or not there keeps stamp 0 or is absent from its list; nobody reads an
+//! old value as a new one.
 
 use crate as trocar_sdk;
 use trocar_sdk::data::Pose;
@@ -14,7 +15,7 @@ pub const MAX_AXES: usize = 16;
 pub const MAX_BUTTONS: usize = 32;
 
 named_values! {
-    /// What a tracker knows of a tool.
+    /// State of a tool as a tracker knows it.
     pub struct ToolStatus: u32 {
         /// Not in view; its pose is not valid.
         MISSING = 0,

@@ -1,7 +1,7 @@
-//! Payloads of cameras: headers of image frames, and what a camera sees.
+//! Payloads of cameras: headers of image frames, and the camera's geometry.
 //!
-//! Invariant: rows are `stride` bytes apart; what a header says lies in the frame's bytes, or the
-//! reader drops the frame: `FrameView::image` and `images` check it.
+//! Invariant: rows are `stride` bytes apart; the image that a header describes lies in the frame's bytes, or
+//! the reader drops the frame: `FrameView::image` and `images` check it.
 
 use crate as trocar_sdk;
 use trocar_sdk::{Payload, Stamp, named_values};

@@ -1,10 +1,10 @@
 //! Standard payloads. Use them where they fit, so that components of different authors connect.
 //!
-//! Invariant: SI units inside; a released struct never changes, a better one gets a new name. A stamp of 0 says that the
-//! value beside it is not valid.
+//! Invariant: SI units inside; a released struct never changes, a better one gets a new name. A stamp of 0
+//! says that the value beside it is not valid.
 //!
-//! Coordinate frames: a standard pose is in the frame that its interface names (`docs/INTERFACES.md`). Where two frames
-//! could be confused, say at the port in which one it is; Connect compares what both ends say:
+//! Coordinate frames: a standard pose is in the frame that its interface names (`docs/INTERFACES.md`). Where
+//! two frames could be confused, name the frame at the port; Connect compares the names of both ends:
 //! ```
 //! use trocar_sdk::{data::Pose, prelude::*};
 //! #[derive(Component)]
@@ -15,8 +15,8 @@
 //! }
 //! impl Component for Guide {}
 //! ```
-//! It is said of the fields that hold coordinates: arrays of floating point numbers in structs. Where there are none, the
-//! plugin does not compile:
+//! The name applies to the fields that hold coordinates: arrays of floating point numbers in structs. Where
+//! there are none, the plugin does not compile:
 //! ```compile_fail,E0080
 //! use trocar_sdk::{data::JointState, prelude::*};
 //! #[derive(Component)]

@@ -1,7 +1,8 @@
 //! Payloads of robots: joint and cartesian values, limits, and the CRTK operating state.
 //!
-//! Invariant: a part whose stamp is 0 is not measured, whatever its numbers say (CRTK); empty joint lists are absent, and
-//! all that are not empty have one length. Source: A. Su et al., "Collaborative Robotics Toolkit (CRTK)", IEEE IRC 2020.
+//! Invariant: a part whose stamp is 0 is not measured, whatever its numbers are (CRTK); empty joint lists are
+//! absent, and all lists that are not empty have one length. Source: A. Su et al., "Collaborative Robotics
+//! Toolkit (CRTK)", IEEE IRC 2020.
 
 use crate as trocar_sdk;
 use trocar_sdk::{Flag, List, Payload, Stamp, Text, named_values};
@@ -9,8 +10,8 @@ use trocar_sdk::{Flag, List, Payload, Stamp, Text, named_values};
 /// Most joints of one `JointState`.
 pub const MAX_JOINTS: usize = 16;
 
-/// Joint vectors of a robot (CRTK `measured_js`, `setpoint_js`). Prismatic joints in m, revolute ones in rad; the
-/// interface's `configuration_js` says which is which.
+/// Joint vectors of a robot (CRTK `measured_js`, `setpoint_js`). Prismatic joints in m, revolute ones in rad;
+/// the interface's `configuration_js` says which is which.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct JointState {
@@ -24,7 +25,7 @@ pub struct JointState {
 }
 
 named_values! {
-    /// What a joint does; decides the unit of its values.
+    /// Kind of a joint; decides the unit of its values.
     pub struct JointKind: u32 { PRISMATIC = 1, REVOLUTE = 2 }
 }
 
@@ -109,8 +110,8 @@ pub struct Transform {
     pub child: Text<32>,
 }
 
-/// One sample of an arm's stream: joints, tip and wrench of the same instant, so they carry the same stamp; a wrench that is not
-/// measured has stamp 0.
+/// One sample of an arm's stream: joints, tip and wrench of the same instant, so they carry the same stamp; a
+/// wrench that is not measured has stamp 0.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct ArmState {
@@ -122,7 +123,7 @@ pub struct ArmState {
 }
 
 named_values! {
-    /// What a virtual fixture holds.
+    /// Kind of a virtual fixture.
     pub struct FixtureKind: u32 {
         /// The tip stays on the side of the frame's xy plane to which its z axis points.
         PLANE = 1,
@@ -146,8 +147,8 @@ pub struct VirtualFixture {
     pub stiffness: f64,
 }
 
-/// What an arm does by itself when a motion by velocity or force is not repeated in time: it brakes, waits, and takes its tip
-/// back along the tool.
+/// What an arm does by itself when a motion by velocity or force is not repeated in time: it brakes, waits,
+/// and takes its tip back along the tool.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Retreat {

@@ -1,13 +1,14 @@
-//! Payloads of optical coherence tomography: spectra, A-scans, the spectrometer, and distances measured with it.
+//! Payloads of optical coherence tomography: spectra, A-scans, the spectrometer, and distances measured with
+//! it.
 //!
-//! Invariant: a frame holds whole lines only: `lines` times `samples` values, line after line, in the machine's byte order;
-//! `FrameView::lines` checks it.
+//! Invariant: a frame holds whole lines only: `lines` times `samples` values, line after line, in the
+//! machine's byte order; `FrameView::lines` checks it.
 
 use crate as trocar_sdk;
 use trocar_sdk::{Flag, Payload, Stamp, named_values};
 
 named_values! {
-    /// What one value of a line is.
+    /// Format of one value of a line.
     pub struct SampleFormat: u32 {
         /// Counts of the detector.
         U16 = 1,
@@ -30,7 +31,8 @@ impl SampleFormat {
     }
 }
 
-/// Header of a frame of raw spectra: `lines` exposures one after the other, each of `samples` pixels of the detector.
+/// Header of a frame of raw spectra: `lines` exposures one after the other, each of `samples` pixels of the
+/// detector.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 #[format("spectra")]
@@ -52,7 +54,8 @@ pub struct SpectraHeader {
     pub line_period: f64,
 }
 
-/// Header of a frame of A-scans: `lines` depth profiles one after the other, each of `samples` bins, in dB for `F32`.
+/// Header of a frame of A-scans: `lines` depth profiles one after the other, each of `samples` bins, in dB
+/// for `F32`.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 #[format("ascan")]
@@ -80,8 +83,8 @@ pub struct AScanHeader {
 }
 
 impl AScanHeader {
-    /// Middle of the exposure of line `i`; none where the header says nothing that can be: no stamp, a period that is negative,
-    /// above 1 s or no number, or a time beyond what a stamp can tell.
+    /// Returns the middle of the exposure of line `i`; none where the header cannot tell it: no stamp, a
+    /// period that is negative, above 1 s or no number, or a time beyond the range of a stamp.
     pub fn stamp_of(&self, i: usize) -> Option<Stamp> {
         let later_ns = i as f64 * self.line_period * 1e9;
         let possible = self.stamp.is_valid() && (0.0..=1.0).contains(&self.line_period);
@@ -126,7 +129,7 @@ pub struct Distance {
     pub stamp: Stamp,
     #[unit("m")]
     pub distance: f64,
-    /// Of the surface along the tool, away from the tip positive, against the robot's base; NaN where nobody knows it.
+    /// Velocity of the surface along the tool against the base, away from the tip positive; NaN: not known.
     #[unit("m/s")]
     pub velocity: f64,
     /// Standard deviation of `distance`.

@@ -1,7 +1,7 @@
-//! The bytes of a frame as what its header says they are: images and lines, checked once and then read without a worry.
+//! The bytes of a frame as its header describes them: images and lines, checked once and then safe to read.
 //!
-//! Invariant: a header is a peer's word. A view exists only where all of it lies in the frame's bytes, computed without
-//! overflow; reading one neither panics nor leaves the bytes.
+//! Invariant: a header is a peer's claim. A view exists only where all of it lies in the frame's bytes,
+//! computed without overflow; reading a view neither panics nor leaves the bytes.
 
 use super::{AScanHeader, ImageHeader, PixelFormat, SampleFormat, SpectraHeader, StereoHeader};
 use crate::frames::FrameView;
@@ -129,7 +129,7 @@ impl<'a> LinesView<'a> {
         Ok(LinesView { lines, line: samples as usize * format.bytes(), bytes })
     }
 
-    /// How many there are.
+    /// Returns the number of lines.
     #[allow(clippy::len_without_is_empty)] // A frame without lines is nothing special.
     pub fn len(&self) -> usize {
         self.lines as usize
@@ -153,17 +153,21 @@ impl<'a> LinesView<'a> {
 }
 
 impl ImageHeader {
-    /// The image in `bytes`, those of the frame with this header.
+    /// Returns the image in `bytes`, those of the frame with this header.
     ///
     /// # Errors
-    /// The header promises what the bytes do not hold: both sizes.
+    /// The header promises more than the bytes hold: both sizes.
     ///
     /// ```
     /// use trocar_sdk::data::{ImageHeader, PixelFormat};
-    /// let header = ImageHeader { width: 2, height: 2, stride: 3, format: PixelFormat::GRAY8, ..Default::default() };
+    /// let header =
+    ///     ImageHeader { width: 2, height: 2, stride: 3, format: PixelFormat::GRAY8, ..Default::default() };
     /// assert_eq!(header.image(&[1, 2, 0, 3, 4]).unwrap().row(1), [3, 4]);
     /// let refused = header.image(&[1, 2, 0, 3]).unwrap_err();
-    /// assert_eq!(refused.to_string(), "a 2 × 2 GRAY8 image with a stride of 3 B needs 5 B, and the frame has 4 B");
+    /// assert_eq!(
+    ///     refused.to_string(),
+    ///     "a 2 × 2 GRAY8 image with a stride of 3 B needs 5 B, and the frame has 4 B"
+    /// );
     /// ```
     pub fn image<'a>(&self, bytes: &'a [u8]) -> Result<ImageView<'a>, BadFrame> {
         ImageView::new(self, 0, bytes)
@@ -171,7 +175,7 @@ impl ImageHeader {
 }
 
 impl StereoHeader {
-    /// Both images in `bytes`, those of the frame with this header; the left one first.
+    /// Returns both images in `bytes`, those of the frame with this header; the left one first.
     ///
     /// # Errors
     /// As [`ImageHeader::image`].
@@ -183,37 +187,37 @@ impl StereoHeader {
 }
 
 impl SpectraHeader {
-    /// The lines in `bytes`, those of the frame with this header.
+    /// Returns the lines in `bytes`, those of the frame with this header.
     ///
     /// # Errors
-    /// The header promises what the bytes do not hold: both sizes.
+    /// The header promises more than the bytes hold: both sizes.
     pub fn lines_in<'a>(&self, bytes: &'a [u8]) -> Result<LinesView<'a>, BadFrame> {
         LinesView::new(self.lines, self.samples, self.format, bytes)
     }
 }
 
 impl AScanHeader {
-    /// The lines in `bytes`, those of the frame with this header.
+    /// Returns the lines in `bytes`, those of the frame with this header.
     ///
     /// # Errors
-    /// The header promises what the bytes do not hold: both sizes.
+    /// The header promises more than the bytes hold: both sizes.
     pub fn lines_in<'a>(&self, bytes: &'a [u8]) -> Result<LinesView<'a>, BadFrame> {
         LinesView::new(self.lines, self.samples, self.format, bytes)
     }
 }
 
 impl FrameView<'_, ImageHeader> {
-    /// The frame as its header says.
+    /// Returns the frame as its header describes it.
     ///
     /// # Errors
-    /// The header promises what the bytes do not hold: count the frame and leave it out.
+    /// The header promises more than the bytes hold: count the frame and leave it out.
     pub fn image(&self) -> Result<ImageView<'_>, BadFrame> {
         self.header().image(self.bytes())
     }
 }
 
 impl FrameView<'_, StereoHeader> {
-    /// The frame as its header says, the left image first.
+    /// Returns the frame as its header describes it, the left image first.
     ///
     /// # Errors
     /// As [`FrameView::image`].
@@ -223,7 +227,7 @@ impl FrameView<'_, StereoHeader> {
 }
 
 impl FrameView<'_, SpectraHeader> {
-    /// The frame as its header says.
+    /// Returns the frame as its header describes it.
     ///
     /// # Errors
     /// As [`FrameView::image`].
@@ -233,7 +237,7 @@ impl FrameView<'_, SpectraHeader> {
 }
 
 impl FrameView<'_, AScanHeader> {
-    /// The frame as its header says.
+    /// Returns the frame as its header describes it.
     ///
     /// # Errors
     /// As [`FrameView::image`].
@@ -242,7 +246,7 @@ impl FrameView<'_, AScanHeader> {
     }
 }
 
-/// Why a frame is not what its header says.
+/// Reason why a frame is not what its header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadFrame {
     /// None of [`PixelFormat`].

@@ -1,4 +1,5 @@
-//! Headers that lie: refused with both sizes, whatever the numbers, and what is not refused is read without a panic.
+//! Headers that lie: refused with both sizes, whatever the numbers; a header that is not refused is read
+//! without a panic.
 #![allow(clippy::unwrap_used)]
 
 use super::*;

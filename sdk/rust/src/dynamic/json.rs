@@ -1,6 +1,7 @@
-//! Values of types known only while running, to and from JSON, spelled as grpcurl and the other tools spell them.
+//! Values of types known only while running, to and from JSON, spelled as grpcurl and the other tools spell
+//! them.
 //!
-//! Invariant: what is read from bytes gives the same bytes when written, unless they were no valid value.
+//! Invariant: values read from bytes give the same bytes when written, unless the bytes were no valid value.
 
 use super::{AnyType, Field, Node, Shape, whole};
 use crate::component::Result;
@@ -16,7 +17,7 @@ impl AnyType {
         (bytes.len() == self.size()).then(|| read(&self.node, bytes))
     }
 
-    /// The bytes of a value. Stamps, lists, texts and what is called `reserved` may be left out.
+    /// Returns the bytes of a value. Stamps, lists, texts and fields called `reserved` may be left out.
     ///
     /// # Errors
     /// Where the value does not fit the type.
@@ -160,7 +161,7 @@ fn write_items(item: &Node, items: &[Json], out: &mut [u8], at: &str) -> Result 
     Ok(())
 }
 
-/// Little-endian, the low bytes; or what was wanted.
+/// Returns the little-endian bytes, the low ones; or what was wanted.
 fn prim_bytes(prim: Prim, value: &Json) -> Result<[u8; 8], String> {
     let float = || match value {
         Json::Number(n) => n.as_f64(),

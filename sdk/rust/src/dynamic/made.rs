@@ -20,7 +20,7 @@ impl AnyType {
     /// `n` of these, side by side.
     ///
     /// # Errors
-    /// None, or more than fit into a value.
+    /// No item, or more than fit into a value.
     pub fn array(item: AnyType, n: usize) -> Result<AnyType> {
         let size = item.node.size.saturating_mul(n);
         fits(AnyType { node: Node { shape: Shape::Array { item: item.node.into(), n }, size }, format: None })

@@ -1,4 +1,5 @@
-//! The parts of a type known only while running, for who walks through it: encoders of other formats, forms.
+//! The parts of a type known only while running, for code that walks through it: encoders of other formats,
+//! forms.
 //!
 //! Invariant: places and sizes are those that were checked when the description was read.
 
@@ -10,7 +11,7 @@ pub struct AnyPart<'a> {
     node: &'a Node,
 }
 
-/// What a part is.
+/// Kind of a part.
 #[derive(Clone, Debug)]
 pub enum AnyShape<'a> {
     /// "bool", "u8", … "f64", or "stamp".

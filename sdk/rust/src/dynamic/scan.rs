@@ -1,7 +1,8 @@
-//! Finds where a number lies in the description of a type, for a step: without making anything of the description.
+//! Finds the place of a number in the description of a type, for a step: makes nothing of the description.
 //!
-//! Invariant: allocates nothing and answers as [`AnyType::place`](super::AnyType::place) does for every description that
-//! [`AnyType::of_port`](super::AnyType::of_port) takes; of any other text it makes `None`.
+//! Invariant: allocates nothing and answers as [`AnyType::place`](super::AnyType::place) does for every
+//! description that [`AnyType::of_port`](super::AnyType::of_port) takes; for any other text it answers
+//! `None`.
 
 use super::{MAX_DEPTH, Place, prim};
 use trocar_plugin_api::desc::Prim;
@@ -19,7 +20,7 @@ pub(crate) fn place(text: &str, path: &str) -> Option<Place> {
     Some(Place { at, prim: number(ty, types)? })
 }
 
-/// One step of a path: how much further, and the type there.
+/// One step of a path: the distance, and the type there.
 fn go<'a>(ty: &'a str, types: &'a str, step: &str) -> Option<(usize, &'a str)> {
     if let Some(item) = member(ty, "array") {
         let i = step.parse::<usize>().ok().filter(|i| Some(*i) < count(ty, "n"))?;
@@ -55,7 +56,7 @@ fn size(ty: &str, types: &str, depth: usize) -> Option<usize> {
     }
 }
 
-/// What `{"ref": name}` stands for.
+/// Returns the type that `{"ref": name}` stands for.
 fn named<'a>(ty: &str, types: &'a str) -> Option<&'a str> {
     let name = member(ty, "ref").and_then(string)?;
     items(types).find(|ty| member(ty, "name").and_then(string) == Some(name))
@@ -93,7 +94,7 @@ fn string(value: &str) -> Option<&str> {
     value.strip_prefix('"')?.strip_suffix('"').filter(|text| !text.contains('\\'))
 }
 
-/// The first JSON value of a text, and what stands behind it.
+/// Returns the first JSON value of a text, and the rest behind it.
 fn value(text: &str) -> Option<(&str, &str)> {
     let text = text.trim_start();
     let (mut depth, mut quoted, mut escaped) = (0usize, false, false);

@@ -1,6 +1,7 @@
-//! Counts what a component allocates while it is inside its own code.
+//! Counts the allocations of a component while it is inside its own code.
 //!
-//! Invariant: a count belongs to the thread that is armed; what the bench does behind its slots is never counted.
+//! Invariant: a count belongs to the thread that is armed; work of the bench behind its slots is never
+//! counted.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -55,8 +56,8 @@ unsafe impl GlobalAlloc for CountingAllocator {
     }
 }
 
-/// Installs the allocator that [`Bench::assert_no_alloc`](crate::testing::Bench::assert_no_alloc) counts with: once per
-/// test program, outside of functions, under `#[cfg(test)]`.
+/// Installs the allocator that [`Bench::assert_no_alloc`](crate::testing::Bench::assert_no_alloc) counts
+/// with: once per test program, outside of functions, under `#[cfg(test)]`.
 #[macro_export]
 macro_rules! count_allocations {
     () => {
@@ -88,12 +89,12 @@ pub(crate) fn armed() -> bool {
     ARMED.get()
 }
 
-/// What this thread counted since the last taking.
+/// Returns this thread's count since the last taking.
 pub(crate) fn take() -> Count {
     COUNT.take()
 }
 
-/// Adds what another thread counted for this one.
+/// Adds the count of another thread that worked for this one.
 pub(crate) fn add(other: Count) {
     let Count { times, first_bytes } = COUNT.get();
     let first_bytes = if times == 0 { other.first_bytes } else { first_bytes };

@@ -1,6 +1,7 @@
 //! The bench itself: makes a component, ties its ports to cells, and takes it through its life.
 //!
-//! Invariant: the state row is published after each entry, as a host does it; reads see that row, never the instance.
+//! Invariant: the state row is published after each entry, as a host does it; reads see that row, never the
+//! instance.
 
 mod life;
 mod ports;
@@ -53,7 +54,7 @@ impl std::error::Error for Failure {}
 
 pub(crate) type Done = Result<(), Failure>;
 
-/// Where the component stands, as `trocar ls` would say it.
+/// State of the component, as `trocar ls` would say it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Life {
     Created,
@@ -76,7 +77,8 @@ impl Display for Life {
     }
 }
 
-/// One component on the bench. Failures that a test does not ask for end it with the component's own sentence.
+/// One component on the bench. Failures that a test does not ask for end it with the component's own
+/// sentence.
 pub struct Bench<C: Class> {
     pub(crate) table: &'static ClassTable,
     this: *mut c_void,
@@ -93,7 +95,7 @@ pub struct Bench<C: Class> {
     pub(crate) repliers: Vec<Replier>,
     /// Logged since the last asking.
     pub(crate) lines: RefCell<Vec<LogLine>>,
-    /// What was configured last, with defaults filled in.
+    /// Last configuration, with defaults filled in.
     config: Map<String, Json>,
     made_safe: u64,
     life: Life,
@@ -167,8 +169,8 @@ impl<C: Class> Bench<C> {
         self.row
     }
 
-    /// Runs `f` and fails the test when the component allocated in one of its entries meanwhile. The test program says
-    /// `trocar_sdk::testing::count_allocations!();` once.
+    /// Runs `f` and fails the test when the component allocated in one of its entries meanwhile. The test
+    /// program says `trocar_sdk::testing::count_allocations!();` once.
     #[track_caller]
     pub fn assert_no_alloc(&mut self, f: impl FnOnce(&mut Self)) {
         assert!(
@@ -194,7 +196,7 @@ impl<C: Class> Bench<C> {
         self.host.threads.store(threads.max(1), Ordering::Relaxed);
     }
 
-    /// One entry of the instance; then the state row is published, and what came out is remembered.
+    /// Runs one entry of the instance; then publishes the state row and remembers the outputs.
     pub(crate) fn enter(&mut self, f: impl FnOnce(*mut c_void, *mut ErrBuf) -> Status) -> Done {
         let logged = self.lines.borrow().len();
         let done = self.entry(f);
@@ -266,7 +268,7 @@ impl<C: Class> Drop for Bench<C> {
 }
 
 impl<C: Class> Bench<C> {
-    /// Handles are left: what they lead to stays until the process ends.
+    /// Handles are left: the memory they point to stays until the process ends.
     fn leave_all(&mut self) {
         std::mem::take(&mut self.inputs).leak();
         std::mem::take(&mut self.outputs).leak();
@@ -284,7 +286,8 @@ fn create<C: Class>(host: &HostTable) -> *mut c_void {
     let name = Bytes { ptr: C::DESC.name.as_ptr(), len: C::DESC.name.len() };
     let mut text = [0u8; 512];
     let mut err = ErrBuf { ptr: text.as_mut_ptr(), cap: text.len(), len: 0 };
-    // SAFETY: the table is static; the host outlives the instance by the order of the bench's fields and its drop.
+    // SAFETY: the table is static; the host outlives the instance by the order of the bench's fields and its
+    // drop.
     let this = unsafe { create(host, name, &mut err) };
     if this.is_null()
         && let Err(e) = outcome(abi::STATUS_FAILED, &text, &err)

@@ -1,6 +1,7 @@
-//! Callbacks of a device library: who may come in.
+//! Callbacks of a device library, and the rule for their entry.
 //!
-//! Invariant: as with a host: only into a started component, and never while an entry or another callback is inside.
+//! Invariant: as with a host, a callback enters only a started component, and never while an entry or another
+//! callback is inside.
 
 use super::bench::Bench;
 use super::peers::code;
@@ -9,7 +10,7 @@ use crate::outcome::Outcome;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use trocar_plugin_api::abi;
 
-/// What the fake host knows about callbacks.
+/// The fake host's state of callbacks.
 pub(crate) struct Callbacks {
     /// Answered instead of entering; EXECUTED lets them in.
     refuse: AtomicI32,
@@ -63,15 +64,15 @@ impl Drop for KeptOut<'_> {
 }
 
 impl<C: Class> Bench<C> {
-    /// Lets `Host::callback` be refused with `outcome`: NOT_ACTIVE as after a stop, WOULD_BLOCK as when two overlap.
-    /// `Outcome::Executed` lets them in again.
+    /// Lets `Host::callback` be refused with `outcome`: NOT_ACTIVE as after a stop, WOULD_BLOCK as when two
+    /// overlap. `Outcome::Executed` lets them in again.
     pub fn refuse_callbacks(&mut self, outcome: Outcome) {
         let outcome = if outcome.is_ok() { abi::EXECUTED } else { code(outcome) };
         self.host.callbacks.refuse.store(outcome, Ordering::Release);
     }
 
-    /// How many callbacks came in, and how many were refused, since the bench was made. What they wrote is looked at after
-    /// a `stop` has ended the component's own threads.
+    /// Returns how many callbacks came in, and how many were refused, since the bench was made. Look at what
+    /// they wrote after a `stop` has ended the component's own threads.
     pub fn callbacks(&self) -> (u64, u64) {
         let callbacks = &self.host.callbacks;
         (callbacks.entered.load(Ordering::Relaxed), callbacks.refused.load(Ordering::Relaxed))

@@ -1,6 +1,7 @@
-//! What stands behind the bench's inputs and outputs: queues and records.
+//! Cells behind the bench's inputs and outputs: queues and records.
 //!
-//! Invariant: a cell is reached by its raw pointer only, from the bench between entries and from the component in one.
+//! Invariant: only its raw pointer reaches a cell, from the bench between entries and from the component in
+//! one.
 
 use super::alloc;
 use super::untyped::{Carried, tell};
@@ -46,7 +47,7 @@ pub(crate) struct Pushed {
 pub(crate) struct InCell {
     pub(crate) connected: bool,
     pub(crate) stale: bool,
-    /// Somebody else reads the frames, too.
+    /// Another reader has the frames, too.
     pub(crate) shared: bool,
     /// Depth of the queue; 0 = latest value only.
     pub(crate) fifo: usize,
@@ -78,7 +79,8 @@ impl InCell {
         }
     }
 
-    /// The peer of an untyped input writes this from now on. What an earlier peer wrote of another type is gone.
+    /// Sets the type that the peer of an untyped input writes from now on. Samples of an earlier peer's type
+    /// are gone.
     pub(crate) fn carry(&mut self, carried: Carried) {
         if self.carried.as_ref() != Some(&carried) {
             self.peers += 1;
@@ -220,11 +222,11 @@ pub(crate) struct OutCell {
     header_size: usize,
     max_bytes: usize,
     pub(crate) written: Vec<Written>,
-    /// Of these, how many the history knows.
+    /// Number of these that the history knows.
     pub(crate) told: usize,
     loans: HashMap<u64, (Aligned, Vec<u8>)>,
     lent: u64,
-    /// Of an untyped output: it is connected to nobody while no peer has given it a type.
+    /// The output is untyped: it is connected to nobody while no peer has given it a type.
     untyped: bool,
     carried: Option<Carried>,
 }
@@ -287,7 +289,8 @@ impl OutCell {
     pub(crate) fn slot(this: *mut OutCell) -> OutSlot {
         unsafe extern "C" fn write(ctx: *mut c_void, value: *const c_void, stamp_ns: u64) -> Outcome {
             let _quiet = alloc::pause();
-            // SAFETY: the slot's own cell; the value has the described size, which the bench took from the class.
+            // SAFETY: the slot's own cell; the value has the described size, which the bench took from the
+            // class.
             unsafe {
                 let cell = &mut *ctx.cast::<OutCell>();
                 let header = core::slice::from_raw_parts(value.cast::<u8>(), cell.header_size).to_vec();

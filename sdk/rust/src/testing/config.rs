@@ -1,6 +1,6 @@
 //! Which settings of a running component may change.
 //!
-//! Invariant: the rule is the host's: what is not declared `live` stays as it was configured.
+//! Invariant: the rule is the host's: a setting that is not declared `live` stays as it was configured.
 
 use serde_json::{Map, Value as Json};
 use trocar_plugin_api::desc::ClassDesc;

@@ -1,4 +1,4 @@
-//! Expectations in sentences: what was expected, what came, and what happened last.
+//! Expectations in sentences: the expected values, the actual ones, and the latest events.
 //!
 //! Invariant: an expectation takes what it looked at, like `outputs`, `events` and `calls` do.
 
@@ -30,7 +30,7 @@ impl<C: Class> Bench<C> {
         self.compare("function", function, expected, &came);
     }
 
-    /// Fails the test, with your sentence and what happened last, unless `holds`.
+    /// Fails the test, with your sentence and the latest events, unless `holds`.
     #[track_caller]
     pub fn expect(&self, holds: bool, what: &str) {
         assert!(holds, "{what}{}", self.history.text(&self.shape));

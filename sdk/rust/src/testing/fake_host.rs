@@ -1,6 +1,8 @@
-//! The bench's host table: a virtual clock, recorded service requests, wishes for other ports, threads for slices.
+//! The bench's host table: a virtual clock, recorded service requests, wishes for other ports, threads for
+//! slices.
 //!
-//! Invariant: everything is behind atomics or a lock, because a component may use the host from its own threads.
+//! Invariant: everything is behind atomics or a lock, because a component may use the host from its own
+//! threads.
 
 use super::callbacks::Callbacks;
 use super::{alloc, parallel};
@@ -22,7 +24,7 @@ unsafe impl Send for Pool {}
 
 pub(crate) struct FakeHost {
     pub(crate) now_ns: AtomicU64,
-    /// Of the latest step.
+    /// Deadline of the latest step.
     pub(crate) deadline_ns: AtomicU64,
     /// When the latest step began.
     pub(crate) stepped_ns: AtomicU64,
@@ -36,7 +38,7 @@ pub(crate) struct FakeHost {
     pub(crate) active: AtomicBool,
     pub(crate) callbacks: Callbacks,
     pub(crate) services: Mutex<Vec<(u64, String)>>,
-    /// What it gave is to stay: handles are left.
+    /// The component asked to keep what it was given: handles are left.
     pub(crate) held: AtomicBool,
 }
 

@@ -1,4 +1,4 @@
-//! Inputs and outputs: what a test pushes in, what came out, and how a connection goes wrong.
+//! Inputs and outputs: pushed values, written values, and the faults of a connection.
 //!
 //! Invariant: a sequence number is used up by every sample that was written, whether or not it arrives.
 
@@ -64,7 +64,7 @@ impl<C: Class> Bench<C> {
         self.inputs[self.shape.input(input)].get().stale = true;
     }
 
-    /// Lets somebody else read the frames of an input, too, or no longer: then none may be changed in place.
+    /// Lets another reader have the frames of an input, too, or no longer: then none may be changed in place.
     #[track_caller]
     pub fn share(&mut self, input: &str, shared: bool) {
         self.inputs[self.shape.input(input)].get().shared = shared;

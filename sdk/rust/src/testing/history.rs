@@ -1,4 +1,4 @@
-//! What happened on the bench lately, printed when an expectation fails.
+//! Latest events on the bench, printed when an expectation fails.
 //!
 //! Invariant: values are kept as bytes and spelt only when a test fails; a bounded number is kept.
 

@@ -1,6 +1,6 @@
 //! The declared limits of a command's argument, checked before the component is entered.
 //!
-//! Invariant: as a host checks them: each number of an array or list, and NaN lies within no limits.
+//! Invariant: the check is a host's: each number of an array or list, and NaN lies within no limits.
 
 use crate::dynamic::AnyType;
 use serde_json::json;

@@ -1,6 +1,7 @@
 //! Log lines of the component, kept for the test.
 //!
-//! Invariant: a line is kept by the thread that is inside an entry of a bench, and costs the component no allocation.
+//! Invariant: a line is kept by the thread that is inside an entry of a bench, and costs the component no
+//! allocation.
 
 use super::alloc;
 use super::bench::Bench;
@@ -32,7 +33,7 @@ pub(crate) fn keep(level: log::Level, target: &str, message: &str) {
     });
 }
 
-/// Lines of one entry; of another bench's around it, what was kept before.
+/// Lines of one entry; holds the lines that an entry of another bench around it kept before.
 pub(crate) struct Entry(Option<Vec<LogLine>>);
 
 /// An entry begins.
@@ -41,7 +42,7 @@ pub(crate) fn begin() -> Entry {
 }
 
 impl Entry {
-    /// It ended: what was logged in it.
+    /// Ends the entry and returns what was logged in it.
     pub(crate) fn end(self) -> Vec<LogLine> {
         LINES.replace(self.0).unwrap_or_default()
     }
@@ -53,7 +54,8 @@ impl<C: Class> Bench<C> {
         self.lines.take()
     }
 
-    /// Fails the test unless a line of this level with `part` in it was logged since the last asking. Takes them all.
+    /// Fails the test unless a line of this level with `part` in it was logged since the last asking. Takes
+    /// them all.
     #[track_caller]
     pub fn expect_log(&mut self, level: log::Level, part: &str) {
         let came = self.logs();

@@ -1,6 +1,6 @@
 //! A class as its manifest, and the contracts of the standard devices.
 //!
-//! Invariant: says of a class exactly what its plugin's note says.
+//! Invariant: the description of a class is exactly that of its plugin's note.
 
 use super::bench::Bench;
 use crate::component::Class;
@@ -25,14 +25,16 @@ pub fn assert_implements<C: Class>(contract: &Contract) {
     assert_implements_as::<C>(contract, "");
 }
 
-/// As [`assert_implements`], where the device is behind the interface of this name: one of several of its kind.
+/// Checks as [`assert_implements`] does, where the device is behind the interface of this name: one of
+/// several of its kind.
 #[track_caller]
 pub fn assert_implements_as<C: Class>(contract: &Contract, interface: &str) {
     fulfils(&description(C::DESC), contract, interface);
 }
 
 impl<C: Class> Bench<C> {
-    /// As [`assert_implements_as`], of the interfaces the component has now: with its present configuration.
+    /// Checks as [`assert_implements_as`] does the interfaces the component has now: with its present
+    /// configuration.
     #[track_caller]
     pub fn assert_implements_as(&self, contract: &Contract, interface: &str) {
         fulfils(self.shape.description(), contract, interface);
@@ -53,7 +55,8 @@ fn fulfils(described: &Description, contract: &Contract, interface: &str) {
     );
 }
 
-/// A class as its note describes it, less what no test looks at: execution and configuration.
+/// Returns a class as its note describes it, without the parts that no test looks at: execution and
+/// configuration.
 pub(crate) fn description(class: &ClassDesc) -> Description {
     let mut types = Types(Vec::new());
     let class = types.class(class);

@@ -1,6 +1,7 @@
-//! What stands behind the bench's functions and events: fake peers and records.
+//! Cells behind the bench's functions and events: fake peers and records.
 //!
-//! Invariant: a cell is reached by its raw pointer only, from the bench between entries and from the component in one.
+//! Invariant: only its raw pointer reaches a cell, from the bench between entries and from the component in
+//! one.
 
 use super::alloc;
 use super::untyped::{CarriedCommand, tell};
@@ -16,10 +17,10 @@ pub(crate) struct FnCell {
     arg_size: usize,
     ret_size: usize,
     pub(crate) calls: Vec<Vec<u8>>,
-    /// Of these, how many the history knows.
+    /// Number of these that the history knows.
     pub(crate) told: usize,
     pub(crate) answer: Option<Answer>,
-    /// Of an untyped function: it is connected to nobody while no peer has given it a command.
+    /// The function is untyped: it is connected to nobody while no peer has given it a command.
     untyped: bool,
     command: Option<CarriedCommand>,
 }
@@ -143,7 +144,7 @@ impl FnCell {
 pub(crate) struct EventCell {
     size: usize,
     pub(crate) emitted: Vec<Vec<u8>>,
-    /// Of these, how many the history knows.
+    /// Number of these that the history knows.
     pub(crate) told: usize,
     /// An observer has no room.
     pub(crate) full: bool,

@@ -1,6 +1,8 @@
-//! A bench for one component in a plain unit test: virtual clock, pushed inputs, recorded outputs, fake peers, no host.
+//! A bench for one component in a plain unit test: virtual clock, pushed inputs, recorded outputs, fake
+//! peers, no host.
 //!
-//! Invariant: the bench drives the component through its C table and real slots, so what passes here passes the boundary.
+//! Invariant: the bench drives the component through its C table and real slots, so what passes here passes
+//! the boundary.
 //!
 //! ```
 //! use trocar_sdk::{prelude::*, testing::Bench};
@@ -42,15 +44,19 @@
 //! |---|---|
 //! | let time pass | `step`, `late_step`, `skip`, `advance`, `now` |
 //! | feed inputs | `push`, `push_at`, `push_frame`; `share`, `lose`, `make_stale`, `connect_input` |
-//! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; `expect_outputs`, `expect_events`, `expect_calls`; [`numbers`] in them |
-//! | play the peers | `answer`, `emit`, `command`, `read`; `fail`, `overflow`, `exhaust`, `connect_output`, `connect_function`, `lose_peer` |
-//! | tie untyped ports | `connect_as`, `connect_as_frames`, `connect_as_command`; `push` and `answer` do so by themselves |
-//! | live through a life | `life`, `configure`, `start`, `stop`, `resume`, `make_safe`, `reset`, `snapshot`, `restore` |
+//! | see what came out | `outputs`, `samples`, `frames`, `events`, `calls`, `state`; [`numbers`] in them |
+//! | expect what comes out | `expect_outputs`, `expect_events`, `expect_calls` |
+//! | play the peers | `answer`, `emit`, `command`, `read`; `connect_output`, `connect_function` |
+//! | let peers fail | `fail`, `overflow`, `exhaust`, `lose_peer` |
+//! | tie untyped ports | `connect_as`, `connect_as_frames`, `connect_as_command`; also `push`, `answer` |
+//! | live through a life | `life`, `configure`, `start`, `stop`, `resume`, `make_safe`, `reset` |
+//! | survive a swap | `snapshot`, `restore` |
 //! | play the system | `answer_service`, `services`, `reply`, `threads`, `refuse_callbacks`, `callbacks` |
 //! | read what was logged | `logs`, `expect_log` |
-//! | prove | `assert_no_alloc` with [`count_allocations!`], [`assert_implements`], [`assert_behaves_as_arm`], [`assert_behaves_as_camera`] |
+//! | prove | `assert_no_alloc` with [`count_allocations!`], [`assert_implements`] |
+//! | prove behaviour | [`assert_behaves_as_arm`], [`assert_behaves_as_camera`] |
 //!
-//! A failing expectation prints what happened last, with values and times.
+//! A failing expectation prints the latest events, with values and times.
 
 mod alloc;
 mod behaves;

@@ -1,6 +1,7 @@
 //! Slices of a frame on threads of the bench: `trocar.parallel/1` as a host has it.
 //!
-//! Invariant: all slices are done when `run` returns, and every thread takes part, so that races have a chance to show.
+//! Invariant: all slices are done when `run` returns, and every thread takes part, so that races have a
+//! chance to show.
 
 use super::alloc;
 use super::fake_host::FakeHost;
@@ -58,7 +59,7 @@ unsafe extern "C" fn run(ctx: *mut c_void, slices: u32, body: *const SliceBody) 
         drop(armed);
         counts.lock().unwrap_or_else(PoisonError::into_inner).push(alloc::take());
     };
-    // The caller's own count so far is not one of a worker.
+    // The caller's own count so far does not belong to a worker.
     let own = alloc::take();
     std::thread::scope(|scope| {
         for _ in 1..host.threads.load(Ordering::Relaxed).max(1) {

@@ -1,4 +1,4 @@
-//! Fake peers: who answers functions, who calls commands and reads, who emits and observes events.
+//! Fake peers: they answer functions, call commands and reads, emit and observe events.
 //!
 //! Invariant: types are checked against the description before a byte is moved.
 
@@ -20,8 +20,8 @@ impl<C: Class> Bench<C> {
         self.functions[at].get().connected = connected;
     }
 
-    /// The peer of a required interface is lost: its functions answer UNBOUND, and an actuator is made safe and stands
-    /// still until `resume`, as with a host.
+    /// Takes the peer of a required interface away: its functions answer UNBOUND, and an actuator is made
+    /// safe and stands still until `resume`, as with a host.
     ///
     /// # Errors
     /// The component's sentence.
@@ -56,8 +56,8 @@ impl<C: Class> Bench<C> {
         std::mem::take(&mut cell.calls).iter().map(|bytes| value(bytes)).collect()
     }
 
-    /// Lets a fake peer answer a function, inline. An error text becomes the outcome FAILED. An untyped function is
-    /// connected to a command of these types by it.
+    /// Lets a fake peer answer a function, inline. An error text becomes the outcome FAILED. It connects an
+    /// untyped function to a command of these types.
     #[track_caller]
     pub fn answer<A: Value, R: Value>(
         &mut self,
@@ -76,8 +76,8 @@ impl<C: Class> Bench<C> {
         self.functions[m.id].get().answer = Some(answer);
     }
 
-    /// Lets every call of a function end so, until `answer` or another `fail`: QUEUE_FULL, DEADLINE, PEER_LOST …
-    /// `Outcome::Queued` and `Outcome::Executed` make it well again.
+    /// Lets every call of a function end with `outcome`, until `answer` or another `fail`: QUEUE_FULL,
+    /// DEADLINE, PEER_LOST … `Outcome::Queued` and `Outcome::Executed` make it well again.
     #[track_caller]
     pub fn fail(&mut self, function: &str, outcome: Outcome) {
         let at = self.shape.member(Of::Functions, function).id;
@@ -86,7 +86,8 @@ impl<C: Class> Bench<C> {
         self.functions[at].get().answer = (!outcome.is_ok()).then_some(answer);
     }
 
-    /// Lets the observers of an event have full queues (or room again): `emit` tells, the event is recorded all the same.
+    /// Fills the queues of an event's observers (or gives them room again): `emit` tells, the event is
+    /// recorded all the same.
     #[track_caller]
     pub fn overflow(&mut self, event: &str, full: bool) {
         let at = self.shape.member(Of::Events, event).id;
@@ -106,8 +107,8 @@ impl<C: Class> Bench<C> {
     /// Executes a command; `command` or `interface/command`. `()` stands for no argument and for no result.
     ///
     /// # Errors
-    /// The component's sentence; after a panic it is in FAULT. Or that it is not ACTIVE, or the argument not within its
-    /// declared limits, and then it was not entered.
+    /// The component's sentence; after a panic it is in FAULT. Or the component is not ACTIVE, or the
+    /// argument not within its declared limits; then the component was not entered.
     #[track_caller]
     pub fn command<A: Value, R: Value>(&mut self, command: &str, arg: A) -> Result<R, Failure> {
         let m = self.command_of::<A, R>(command, false);
@@ -137,7 +138,8 @@ impl<C: Class> Bench<C> {
         let mut ret = R::blank();
         let (row, result) = ((&raw const self.row).cast(), ret.ptr_mut());
         self.entry(|_, err| match self.table.read {
-            // SAFETY: the row is this class's; argument and result have the types of the description, checked above.
+            // SAFETY: the row is this class's; argument and result have the types of the description, checked
+            // above.
             Some(f) => unsafe { f(row, m.id as u32, arg.ptr(), result, err) },
             None => abi::STATUS_UNSUPPORTED,
         })?;
@@ -156,7 +158,8 @@ impl<C: Class> Bench<C> {
     /// Lets the connected peer emit an event of a required interface; `event` or `interface/event`.
     ///
     /// # Errors
-    /// The component's sentence; after a panic it is in FAULT. Or that it is not ACTIVE: then no handler runs.
+    /// The component's sentence; after a panic it is in FAULT. Or the component is not ACTIVE: then no
+    /// handler runs.
     #[track_caller]
     pub fn emit<T: Value>(&mut self, event: &str, payload: T) -> Done {
         let m = self.shape.member(Of::Handlers, event);

@@ -1,4 +1,4 @@
-//! Dynamic component services: what the component asked for, and a fake system that answers.
+//! Dynamic component services: the component's requests, and a fake system that answers.
 //!
 //! Invariant: replies are delivered between entries, never from within one, as a host does.
 
@@ -13,7 +13,7 @@ const MAX_ROUNDS: usize = 100;
 
 type Answer = dyn FnMut(&Json) -> Result<Json, String>;
 
-/// Answers one verb; "" any other.
+/// Answers one verb; "" answers any other.
 pub(crate) struct Replier {
     verb: String,
     answer: Box<Answer>,
@@ -25,8 +25,9 @@ impl<C: Class> Bench<C> {
         std::mem::take(&mut self.host.services.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Lets a fake system answer the services of one verb ("" for every other): the response, or why it is refused. The
-    /// reply is delivered when the entry that asked is over; that of a device's callback, after the next entry.
+    /// Lets a fake system answer the services of one verb ("" for every other) with the response, or with the
+    /// reason of a refusal. The reply is delivered when the entry that asked is over; the reply to a device's
+    /// callback, after the next entry.
     pub fn answer_service(&mut self, verb: &str, f: impl FnMut(&Json) -> Result<Json, String> + 'static) {
         self.repliers.retain(|r| r.verb != verb);
         self.repliers.push(Replier { verb: verb.to_string(), answer: Box::new(f) });
@@ -49,7 +50,7 @@ impl<C: Class> Bench<C> {
         self.survived("on_service", done)
     }
 
-    /// Answers what the fake system can answer; a reply may ask for more.
+    /// Answers the requests that the fake system can answer; a reply may lead to more requests.
     #[track_caller]
     pub(crate) fn reply_all(&mut self) {
         if self.repliers.is_empty() || self.life() == Life::Fault {

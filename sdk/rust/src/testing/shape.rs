@@ -1,6 +1,6 @@
-//! What a class offers, by name: from its description in the program, or from what `describe` wrote last.
+//! Members of a class, by name: from its description in the program, or from what `describe` wrote last.
 //!
-//! Invariant: a wrong name or type fails the test with what there is, never with garbage bytes.
+//! Invariant: a wrong name or type fails the test with the names that exist, never with garbage bytes.
 
 use std::sync::{Mutex, OnceLock, PoisonError};
 
@@ -12,13 +12,13 @@ use trocar_plugin_api::manifest::{self as m, Description, PortType, Type};
 
 pub(crate) struct Shape {
     description: Description,
-    /// Of each kind, as `Of` numbers them: made of it once, since a test asks for them at every call.
+    /// Members of each kind, as `Of` numbers them: made once, since a test asks for them at every call.
     members: [OnceLock<Vec<Member>>; 4],
     /// Types that were compared and found to be the same.
     same: Mutex<Vec<Compared>>,
 }
 
-/// What was compared: the port's kind and name, and the test's type, by its address.
+/// A comparison that was made: the port's kind and name, and the test's type, by its address.
 struct Compared {
     what: String,
     name: String,
@@ -31,7 +31,7 @@ pub(crate) struct Member {
     pub(crate) id: usize,
     /// `interface/member`.
     pub(crate) path: String,
-    /// Where the member's own name begins in it.
+    /// Position of the member's own name in the path.
     short_at: usize,
     pub(crate) arg: Option<Type>,
     pub(crate) ret: Option<Type>,
@@ -70,10 +70,10 @@ impl Shape {
         Shape { description, members: Default::default(), same: Mutex::default() }
     }
 
-    /// From the JSON that `describe` wrote.
+    /// Reads the JSON that `describe` wrote.
     ///
     /// # Errors
-    /// It is no description.
+    /// The JSON is no description.
     pub(crate) fn read(json: &[u8]) -> Result<Shape, String> {
         let read = serde_json::from_slice(json).map(Shape::new);
         read.map_err(|e| format!("what `describe` wrote is no description: {e}"))
@@ -217,7 +217,7 @@ fn place<'a>(what: &str, name: &str, names: impl Iterator<Item = &'a str> + Clon
     }
 }
 
-/// What was asked for, what was probably meant, and what there is.
+/// Returns the sentence for an unknown name: what was asked for, what was probably meant, and what there is.
 fn unknown(what: &str, name: &str, there: &[String]) -> String {
     let asked = |full: &String| if name.contains('/') { full.clone() } else { last_part(full) };
     let slip = |full: &&String| {

@@ -1,6 +1,6 @@
 //! The virtual clock and the steps on it.
 //!
-//! Invariant: time passes only when a test says so; the grid of deadlines is exact whatever the lateness.
+//! Invariant: time passes only when a test says so; the grid of deadlines is exact with any lateness.
 
 use super::bench::{Bench, Done};
 use crate::component::Class;
@@ -12,7 +12,7 @@ use trocar_plugin_api::abi;
 const DEFAULT_PERIOD_NS: u64 = 1_000_000;
 
 impl<C: Class> Bench<C> {
-    /// `cycles` steps, each one period of virtual time after the other.
+    /// Runs `cycles` steps, each one period of virtual time after the other.
     #[track_caller]
     pub fn step(&mut self, cycles: u64) {
         for _ in 0..cycles {
@@ -24,8 +24,8 @@ impl<C: Class> Bench<C> {
     }
 
     /// # Errors
-    /// The component's sentence; as in a host, it was made safe and is in FAULT now. Or that it is not ACTIVE: then no time
-    /// passes, and nothing is stepped.
+    /// The component's sentence; as in a host, it was made safe and is in FAULT now. Or the component is not
+    /// ACTIVE: then no time passes, and nothing is stepped.
     #[track_caller]
     pub fn try_step(&mut self) -> Done {
         self.late_step(0)

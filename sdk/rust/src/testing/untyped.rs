@@ -1,7 +1,7 @@
-//! What the bench ties untyped ports to: a fake peer with a type, which the component learns while running.
+//! Fake peers of untyped ports: each has a type, which the component learns while running.
 //!
-//! Invariant: without a peer's type an untyped port is unconnected, as with a host; a sample of another type is another
-//! peer.
+//! Invariant: without a peer's type an untyped port is unconnected, as with a host; a sample of another type
+//! is another peer.
 
 use super::bench::Bench;
 use super::manifest;
@@ -98,14 +98,15 @@ impl<C: Class> Bench<C> {
         self.carry(port, Carried::plain::<T>());
     }
 
-    /// Connects an untyped input or output to a fake peer of frames with the header `H`. `push_frame` does so by itself.
+    /// Connects an untyped input or output to a fake peer of frames with the header `H`. `push_frame` does so
+    /// by itself.
     #[track_caller]
     pub fn connect_as_frames<H: Payload>(&mut self, port: &str) {
         self.carry(port, Carried::frames::<H>());
     }
 
-    /// Connects an untyped function to a fake command, called as the function is, that takes `A` and gives `R`. `answer`
-    /// does so by itself.
+    /// Connects an untyped function to a fake command that takes `A` and gives `R` and has the name of the
+    /// function. `answer` does so by itself.
     #[track_caller]
     pub fn connect_as_command<A: Value, R: Value>(&mut self, function: &str) {
         let m = self.shape.member(Of::Functions, function);

@@ -1,6 +1,7 @@
 //! A cell and the slot in front of it, both at fixed addresses.
 //!
-//! Invariant: a cell outlives every use of its slot: it is freed after the component was bound to others, or destroyed.
+//! Invariant: a cell outlives every use of its slot: it is freed after the component was bound to others, or
+//! destroyed.
 
 use std::mem;
 
@@ -16,8 +17,8 @@ impl<Cell, Slot> Wired<Cell, Slot> {
         Wired { name, cell, slot: Box::new(slot(cell)) }
     }
 
-    /// The ports of a new description: those of a name that was there before keep their cells. Gives back what is left
-    /// over, to be dropped after the component was bound.
+    /// Ties the ports of a new description: a port whose name was there before keeps its cell. Returns the
+    /// cells left over, to be dropped after the component was bound.
     #[must_use]
     pub(crate) fn rewire(
         wired: &mut Vec<Self>,
@@ -37,7 +38,8 @@ impl<Cell, Slot> Wired<Cell, Slot> {
     }
 
     pub(crate) fn get(&mut self) -> &mut Cell {
-        // SAFETY: made in `new`, freed in drop; the component uses it only inside an entry, when the bench does not.
+        // SAFETY: made in `new`, freed in drop; the component uses it only inside an entry, when the bench
+        // does not.
         unsafe { &mut *self.cell }
     }
 }

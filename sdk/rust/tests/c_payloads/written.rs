@@ -1,6 +1,7 @@
 //! The text of `trocar_payloads.h` from the types of a manifest.
 //!
-//! Invariant: a struct stands behind what it is made of; names are Rust's, as `trocar_plugin.h` writes them.
+//! Invariant: a struct stands behind the types it is made of; names are Rust's, as `trocar_plugin.h` writes
+//! them.
 
 use std::fmt::Write;
 use trocar_plugin_api::manifest::{Field, NamedType, Type};
@@ -28,7 +29,7 @@ const HEAD: &str = r#"/* The standard payloads of trocar for C11 and C++17: stru
 /// Columns of a line at most.
 const WIDTH: usize = 110;
 
-/// The same types, each behind those it is made of.
+/// Returns the same types, each behind those it is made of.
 pub(crate) fn by_need(types: Vec<NamedType>) -> Vec<NamedType> {
     let mut sorted: Vec<NamedType> = Vec::new();
     let mut left = types;

@@ -11,21 +11,21 @@ use trocar_plugin_api::manifest::Description;
 use trocar_sdk::__private::{Export, Shared, render_description};
 use trocar_sdk::{Class, Payload, Text, from_bytes};
 
-/// What lies behind one slot.
+/// Content of one slot.
 #[derive(Default)]
 pub(crate) struct Cell {
     pub(crate) value: Option<f64>,
     pub(crate) written: Vec<f64>,
 }
 
-/// What the component asked the host for, and what it may ask for.
+/// Requests of the component to the host, and what it may ask for.
 #[derive(Default)]
 pub(crate) struct Asked {
     pub(crate) ports_changed: u32,
     pub(crate) services: Vec<(u64, String)>,
     /// Threads of `trocar.parallel/1`; without any, the host has no such extension.
     pub(crate) threads: u32,
-    /// Times it asked to keep what it was given.
+    /// Number of times it asked to keep what it was given.
     pub(crate) kept: Arc<AtomicU32>,
 }
 

@@ -1,7 +1,9 @@
-//! `peer-iceoryx2 BYTES COUNT`: one-way times of iceoryx2's event path between two processes; prints p50 and p99 in ns.
+//! `peer-iceoryx2 BYTES COUNT`: one-way times of iceoryx2's event path between two processes; prints p50 and
+//! p99 in ns.
 //!
-//! Invariant: as the benchmark does it with trocar: one sample each 250 µs, its time of sending in it, the reader asleep until it
-//! is told; up to 64 KiB the bytes are written for each sample, larger ones are handed on as they are.
+//! Invariant: as the benchmark does it with trocar: one sample each 250 µs, its time of sending in it, the
+//! reader asleep until it is told; up to 64 KiB the bytes are written for each sample, larger ones are handed
+//! on as they are.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader, Write};
@@ -59,7 +61,8 @@ fn send(bytes: usize, count: usize) -> Result<(), Box<dyn Error>> {
         // The newest sample is never overwritten: the end is what gets there in any case.
         let when = if i < WARM + count { now_ns() } else { END };
         let sample = publisher.loan_slice_uninit(bytes)?;
-        // SAFETY: bytes of whatever value are bytes; the memory is there, it comes from a file that was filled with zeros.
+        // SAFETY: bytes of whatever value are bytes; the memory is there, it comes from a file that was
+        // filled with zeros.
         let mut sample = unsafe { sample.assume_init() };
         if bytes <= WRITTEN {
             sample.payload_mut().copy_from_slice(&content);

@@ -1,7 +1,7 @@
 //! Reads from outside that do not come back: plugin code that nobody can end.
 //!
-//! Promise: each caller is answered, the control plane goes on, the server is named, nobody else misses a cycle, and the host
-//! ends.
+//! Promise: each caller is answered, the control plane goes on, the server is named, nobody else misses a
+//! cycle, and the host ends.
 
 use std::thread;
 

@@ -1,7 +1,7 @@
 //! Each way to fail, as whoever only looks hears of it: GetState, List, the events of the component.
 //!
-//! Promise: all of them tell one story: the state, the entry, the component's own words where it has a place for them; and
-//! nobody else misses a cycle.
+//! Promise: all of them tell one story: the state, the entry, the component's own words where it has a place
+//! for them; and nobody else misses a cycle.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -122,8 +122,8 @@ pub fn several_threads_of_a_client_use_one_function_at_once(way: &Way) {
 pub fn a_read_is_answered_from_the_published_row_with_its_stamp(way: &Way) {
     let lab = Lab::running(way);
     assert_eq!(lab.perform(waiting(way, Function::Write, 5.0)).only(), Outcome::Executed);
-    // The step that the command brought about may come after its answer. Reads that entered the component would bring about
-    // one each time.
+    // The step that the command brought about may come after its answer. Reads that entered the component
+    // would bring about one each time.
     eventually("two reads of one row with no step in between", || {
         let steps = lab.count("server", "steps");
         let first = lab.invoke("server/ctl/value", None, false).expect("a read is answered");

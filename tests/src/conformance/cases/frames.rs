@@ -15,8 +15,8 @@ fn publish(lab: &Lab, frames: u32) {
     done.unwrap_or_else(|refusal| panic!("publishing frames: {refusal}"));
 }
 
-/// The frame that was published. In memory that is mapped twice the first one of a pool comes when that memory is mapped, and what was taken
-/// is back when the maker has noticed.
+/// The frame that was published. In memory that is mapped twice the first one of a pool comes when that
+/// memory is mapped, and what was taken is back when the maker has noticed.
 fn taken(lab: &Lab) -> Value {
     let mut frame = lab.own("take_frame");
     if lab.maps() && whole(&frame["at"]) == 0 {

@@ -21,7 +21,8 @@ const ALL: [Function; 9] = [
     Function::Refuse,
 ];
 
-/// Makes calls that the server cannot take now: it is busy, or its thread waits for the very thread that calls.
+/// Makes calls that the server cannot take now: it is busy, or its thread waits for the very thread that
+/// calls.
 fn crowd(way: &Way, lab: &Lab, call: Call) -> Answer {
     if way.deployment.client_leads() {
         return lab.perform(call.from_threads(1));

@@ -1,4 +1,5 @@
-//! Payloads of every kind between JSON and bytes: what is right comes back as it went, what is wrong never arrives.
+//! Payloads of every kind between JSON and bytes: what is right comes back as it went, what is wrong never
+//! arrives.
 
 use serde_json::{Value, json};
 

@@ -1,5 +1,5 @@
-//! Rows of a component's state from outside: the newest, earlier ones, and the values at a time; in the process and over
-//! gRPC.
+//! Rows of a component's state from outside: the newest, earlier ones, and the values at a time; in the
+//! process and over gRPC.
 
 use serde_json::json;
 use tonic::transport::Channel;
@@ -21,7 +21,8 @@ fn five(way: &Way, lab: &Lab) -> Known {
         let write = lab.invoke("server/ctl/write", Some(json!(10.0 * f64::from(value))), false);
         write.unwrap_or_else(|refusal| panic!("{refusal}"));
     }
-    // On its grid it would write over them while a slow machine is still asking; what was published stays when it is stopped.
+    // On its grid it would write over them while a slow machine is still asking; what was published stays
+    // when it is stopped.
     if way.deployment.server_steps_unasked() {
         lab.stop("server");
     }
@@ -80,8 +81,8 @@ pub fn each_row_is_found_by_its_time_its_tick_and_its_distance(way: &Way) {
     }
 }
 
-/// A server that never rests writes over its rows before anybody could ask for one of them: its newest one is found, and what
-/// is kept no more is refused as such.
+/// A server that never rests writes over its rows before anybody could ask for one of them: its newest one is
+/// found, and what is kept no more is refused as such.
 fn newest_alone(lab: &Lab) {
     lab.invoke("server/ctl/write", Some(json!(50.0)), false).unwrap_or_else(|refusal| panic!("{refusal}"));
     let first = newest(lab);

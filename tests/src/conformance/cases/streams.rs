@@ -95,7 +95,8 @@ pub fn one_output_feeds_many_inputs_each_at_its_own_pace(way: &Way) {
 }
 
 pub fn a_sample_older_than_the_connection_allows_is_stale(way: &Way) {
-    // Long enough that its own end on a grid sees it, and that what is told to a GCM in another process is not over by then.
+    // Long enough that its own end on a grid sees it, and that what is told to a GCM in another process is
+    // not over by then.
     let max_age_ns = if way.deployment.two_processes() { 300_000_000 } else { 20_000_000 };
     let options = ConnectOptions { max_age_ns: Some(max_age_ns), ..ConnectOptions::default() };
     let lab = flowing(way, "latest", options);

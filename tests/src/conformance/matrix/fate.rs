@@ -1,6 +1,7 @@
 //! What each call comes to in each situation.
 //!
-//! Invariant: total and exact; where ways differ, they differ by how the call reaches the server and by nothing else.
+//! Invariant: total and exact; where ways differ, they differ by how the call reaches the server and by
+//! nothing else.
 
 use super::super::Reach;
 use super::{Fate, Kind, Mode, Situation};
@@ -28,7 +29,8 @@ fn must_not_wait(situation: Situation) -> bool {
     matches!(situation, Situation::ACommand | Situation::AStep | Situation::ABusyServerFromACommand)
 }
 
-/// The published row is there, whatever the server does; a read that is only sent has no place for what it answers.
+/// The published row is there, whatever the server does; a read that is only sent has no place for what it
+/// answers.
 fn read(situation: Situation, mode: Mode) -> Fate {
     match (mode, situation) {
         (Mode::Send, _) => Fate::InvalidArgument,

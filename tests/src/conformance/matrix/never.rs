@@ -1,6 +1,7 @@
 //! What a command never comes to, and why.
 //!
-//! Invariant: the situations that bring an outcome about for others are played here, too, and come to something else.
+//! Invariant: the situations that bring an outcome about for others are played here, too, and come to
+//! something else.
 
 use super::super::Reach;
 use super::{Fate, Kind, Mode, Situation, fate};

@@ -1,6 +1,7 @@
 //! Plays the situations: brings each about and compares what every kind of command comes to.
 //!
-//! Invariant: a failure names the situation, the kind and how it was asked; nothing else than [`fate`] says what is right.
+//! Invariant: a failure names the situation, the kind and how it was asked; nothing else than [`fate`] says
+//! what is right.
 
 use serde_json::json;
 use trocar::model::{ConnectOptions, State};
@@ -167,8 +168,8 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// While somebody else is inside the server; where client and server share a thread, whoever calls from another one
-    /// finds it busy all the time.
+    /// While somebody else is inside the server; where client and server share a thread, whoever calls from
+    /// another one finds it busy all the time.
     fn busy(&self, ask: impl FnOnce() -> Answer) -> Answer {
         if self.reach() == Reach::Thread { ask() } else { self.lab.occupied(ask) }
     }
@@ -183,7 +184,8 @@ impl<'a> Stage<'a> {
             lab.invoke("server/ctl/poke", None, false).expect("the server is there");
         }
         if self.reach().queues() {
-            // What runs the queue may not have come to it yet, as that of another process: a call behind all of it is answered when it has.
+            // What runs the queue may not have come to it yet, as that of another process: a call behind all
+            // of it is answered when it has.
             eventually("the queue is empty", || {
                 match lab.perform(call(Kind::Void, Mode::Call, FITS).from_threads(1)) {
                     answer if Fate::Executed.is(&answer, 1) => Ok(()),

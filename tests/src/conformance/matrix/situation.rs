@@ -1,6 +1,7 @@
 //! The situations a call is made in.
 //!
-//! Invariant: a situation is about the connection and the server, not about the command; each is played in every way.
+//! Invariant: a situation is about the connection and the server, not about the command; each is played in
+//! every way.
 
 use self::Situation::{
     ABusyServer, ABusyServerFromACommand, ACommand, AFullQueue, AStep, AThreadOfItsOwn, BegunAndCut,

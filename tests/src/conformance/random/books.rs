@@ -139,12 +139,14 @@ fn samples_add_up(lab: &Lab, client: &str, server: &str) {
 /// Slots of a server's pool of frames.
 const SLOTS: u64 = 4;
 
-/// Whatever the play left in hands, in queues or on the way comes back: all slots can be lent at once, again and again.
+/// Whatever the play left in hands, in queues or on the way comes back: all slots can be lent at once, again
+/// and again.
 fn frames_add_up(lab: &Lab, client: &str, server: &str) {
     let whole_pool = || {
         outside(lab, &format!("{server}/ctl/publish_frames"), Some(1.0));
         outside(lab, &format!("{client}/run/take_frame"), None);
-        // One is in its hands: with the three other slots the queue keeps two frames and leaves one free, with fewer only one.
+        // One is in its hands: with the three other slots the queue keeps two frames and leaves one free,
+        // with fewer only one.
         match frames_made(lab, client, server, SLOTS) {
             (2, _) => Ok(()),
             (_, told) => Err(told),
@@ -161,8 +163,8 @@ fn frames_add_up(lab: &Lab, client: &str, server: &str) {
     }
 }
 
-/// Has frames made and taken: those that were asked for were made or found no slot; made, they were taken or dropped. How
-/// many were taken, and the sums.
+/// Has frames made and taken: those that were asked for were made or found no slot; made, they were taken or
+/// dropped. How many were taken, and the sums.
 fn frames_made(lab: &Lab, client: &str, server: &str, asked: u64) -> (u64, String) {
     let figures = || {
         let link = lab.link(&format!("{client}/frame"));
@@ -265,7 +267,8 @@ pub(super) struct Growth {
 
 /// Seeds from which on a growth can be told from what is made once and kept.
 const ENOUGH: usize = 200;
-/// What a thousand seeds may leave behind, kB: pages of the allocator's, spread over threads that come and go.
+/// What a thousand seeds may leave behind, kB: pages of the allocator's, spread over threads that come and
+/// go.
 const LEFT_KB: u64 = 4096;
 
 impl Growth {

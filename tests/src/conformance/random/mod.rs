@@ -1,7 +1,8 @@
-//! Random interleavings: by seed, control and calls at the same time, then the books are checked; in one process and in two.
+//! Random interleavings: by seed, control and calls at the same time, then the books are checked; in one
+//! process and in two.
 //!
-//! Invariant: what is asked follows from the seed alone; a failure prints it, and `TROCAR_SEED=n` asks the same again.
-//! `TROCAR_SEEDS=n` plays that many times as many seeds as usual.
+//! Invariant: what is asked follows from the seed alone; a failure prints it, and `TROCAR_SEED=n` asks the
+//! same again. `TROCAR_SEEDS=n` plays that many times as many seeds as usual.
 
 mod books;
 mod ops;
@@ -24,8 +25,8 @@ pub enum Servers {
     Far,
 }
 
-/// Plays these seeds, shared out among processes, or only the one of `TROCAR_SEED`, here. `test`: the full name of the test
-/// that asks.
+/// Plays these seeds, shared out among processes, or only the one of `TROCAR_SEED`, here. `test`: the full
+/// name of the test that asks.
 ///
 /// # Panics
 /// An invariant did not hold; the seed is printed.

@@ -1,7 +1,7 @@
 //! Seeds shared out among processes, which play at the same time.
 //!
-//! Invariant: each is the very test that shares them out, played on its part: threads, files and memory are counted for a
-//! process as a whole, so what plays at the same time has processes of its own.
+//! Invariant: each is the very test that shares them out, played on its part: threads, files and memory are
+//! counted for a process as a whole, so what plays at the same time has processes of its own.
 
 use std::env;
 use std::process::{Command, Output, Stdio};
@@ -22,7 +22,8 @@ pub(super) fn part() -> Option<(u64, u64)> {
     }
 }
 
-/// Plays each part of `test`, by its full name, in a process of its own, and says what those that failed said.
+/// Plays each part of `test`, by its full name, in a process of its own, and says what those that failed
+/// said.
 ///
 /// # Panics
 /// One of them failed.

@@ -1,6 +1,6 @@
 //! The client's half: calls, reads and events bound to the memory, or an input that reads from it.
 //!
-//! Invariant: as for all wires; a read is worked out here only with the code the server's process has.
+//! Invariant: as for all wires; a read is computed here only with the code the server's process has.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -46,24 +46,24 @@ pub(in crate::far) enum ClientWires {
         events_in: Arc<Inbox>,
         bell: Arc<Waker>,
         asks: Arc<Asks>,
-        /// Of reads worked out here.
+        /// Panics of reads computed here.
         panics: Arc<Panics>,
-        /// Of how many of them the server's process was told.
+        /// Number of them that the server's process was told.
         told: u64,
     },
 }
 
-/// What a client needs to work reads out itself: the class of its server, and the rows its process shows.
+/// Parts a client needs to compute reads itself: the class of its server, and the rows its process shows.
 pub(in crate::far) struct Own {
     pub(in crate::far) class: OwnClass,
     pub(in crate::far) rows: OwnedFd,
 }
 
 impl ClientWires {
-    /// Wires the memory of the server up.
+    /// Wires up the memory of the server.
     ///
     /// # Errors
-    /// It is not what was agreed, or the thread can be woken by no more connections.
+    /// The memory is not as agreed, or the thread can be woken by no more connections.
     pub(in crate::far) fn connect(
         (memory, agreed): (OwnedFd, Agreed),
         way: &Way,
@@ -174,7 +174,7 @@ impl ClientWires {
         Ok(ClientWires::Calls { functions, server, events_in, bell: calls.for_client, asks, panics, told: 0 })
     }
 
-    /// Whether these are the wires of a binding as it is now.
+    /// Tells whether these are the wires of the present binding.
     pub(in crate::far) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
         let ClientWires::Calls { functions, events_in, .. } = self else { return false };
         let mut bound = binding.functions.iter().map(|(function, _)| set.slots.function(*function));
@@ -185,15 +185,16 @@ impl ClientWires {
             && targets.iter().all(|target| handlers.next().is_some_and(|now| Arc::ptr_eq(now, target)))
     }
 
-    /// Of the reads worked out here how many panicked, and what the last one said, if those are more than last time.
+    /// Number of reads computed here that panicked, and the sentence of the last one; `None` if unchanged
+    /// since the last call.
     pub(in crate::far) fn untold_panics(&mut self) -> Option<(u64, String)> {
         let ClientWires::Calls { panics, told, .. } = self else { return None };
         let (now, text) = panics.so_far();
         (std::mem::replace(told, now) != now).then_some((now, text))
     }
 
-    /// Whoever waits for the server is answered, and its output is an input's source no more. Any thread; no memory is given back, which
-    /// takes its time.
+    /// Answers the callers that wait for the server, and takes its output from the input. Any thread; gives
+    /// back no memory, which would take time.
     pub(in crate::far) fn lose(&self) {
         match self {
             ClientWires::Calls { server, asks, .. } => {
@@ -204,7 +205,8 @@ impl ClientWires {
         }
     }
 
-    /// Cuts them. Unless their server is lost, what has begun there is carried to its end and answered.
+    /// Cuts the wires. Unless the server is lost, calls that have begun there are carried to their end and
+    /// answered.
     pub(in crate::far) fn disconnect(&self, here: &Here, how: Loss) {
         let client = &here.instance;
         match (how, self) {

@@ -1,5 +1,5 @@
-//! A thread whose signal mask was changed while it hangs is given one job for it, not one with every look. A directory that
-//! may be a newcomer's doing, or a load's, is left until that is known.
+//! A thread whose signal mask was changed while it hangs is given one job for it, not one with every look. A
+//! change of directory that may be due to a new component, or to a load, is left until that is known.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
@@ -54,7 +54,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
     let executor = lcm.executor_of(&instance).unwrap();
     let ward = Ward::new(instance, executor.clone());
     let own = executor.settings.hygiene().unwrap().sigmask;
-    // Twice: what was asked for once and done can be asked for again.
+    // Twice: a request that was done can be made again.
     for _ in 0..2 {
         let (tell, told) = channel();
         let (go, wait) = channel::<()>();
@@ -113,7 +113,7 @@ async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
     lcm.shutdown(PATIENCE).await;
 }
 
-/// Says that this is the process made for it: the directory is everybody's.
+/// Marks the process made for this test: the directory belongs to the whole process.
 const CHILD: &str = "TROCAR_HYGIENE_CHILD";
 
 #[test]

@@ -1,5 +1,5 @@
-//! Whose a thread is: by its number and its beginning, whatever its name is, and without a look at those of
-//! the host.
+//! Owners of threads: found by number and begin, whatever the name is, and without a look at those of the
+//! host.
 #![allow(clippy::unwrap_used)]
 
 use std::env;
@@ -11,7 +11,7 @@ use trocar_rt::{house, os};
 
 use super::{Moment, Strangers, looks, threads};
 
-/// Starts a thread that lives until its end is let go of; answers its kernel id.
+/// Starts a thread that lives until its `Sender` is dropped; returns its kernel id.
 fn started(by: impl FnOnce(Box<dyn FnOnce() + Send>)) -> (i32, Sender<()>) {
     let (tell, told) = channel();
     let (end, ended) = channel::<()>();
@@ -55,7 +55,7 @@ fn a_thread_that_was_there_is_not_taken_for_one_that_came() {
 #[test]
 fn numbers_that_begin_anew_and_clocks_that_are_coarse_change_nothing() {
     let at = |last| Moment { ticks: 100, last };
-    // (number given last, number of the thread, when it began, it came after)
+    // Columns: number given last, number of the thread, its begin; whether it came after.
     for (last, tid, began, after) in [
         (Some(500), 500, 100, false),
         (Some(500), 501, 100, true),
@@ -74,14 +74,14 @@ fn numbers_that_begin_anew_and_clocks_that_are_coarse_change_nothing() {
     assert!(!at(None).is_still_so(), "where the kernel does not say, nothing is sure");
 }
 
-/// Else a thread that was there before an entry counts as made by it, and who "made" it is kept for ever when
-/// it is removed.
+/// Otherwise a thread from before an entry would count as made by it, and the component that "made" it would
+/// be kept for ever when it is removed.
 #[test]
 fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
     for round in 0..400 {
         let (go, wait) = channel::<()>();
         thread::scope(|scope| {
-            // It comes after those that end: they are what the reader has passed when it comes to it.
+            // This thread comes after those that end: the reader has passed them when it comes to this one.
             let ends: Vec<_> = (0..64)
                 .map(|_| {
                     let (end, ended) = channel::<()>();
@@ -105,7 +105,7 @@ fn a_thread_that_goes_on_is_in_every_list_although_others_end_meanwhile() {
     }
 }
 
-/// Says that this is the process made for it: threads of tests beside it would count, too.
+/// Marks the process made for this test: threads of other tests would count, too.
 const CHILD: &str = "TROCAR_STRANGERS_CHILD";
 
 #[test]

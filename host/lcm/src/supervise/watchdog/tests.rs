@@ -33,7 +33,7 @@ struct Idle;
 
 impl Behaviour for Idle {}
 
-/// So many components of a process that were started and then stopped.
+/// Makes so many components of a process that were started and then stopped.
 async fn stopped(process: &str, count: usize) -> (Arc<LocalLcm>, Roster) {
     let config = LcmConfig {
         process: Name::parse(process).unwrap(),

@@ -1,7 +1,7 @@
-//! What may be asked of an execution: each setting within its limits and only where it means something.
+//! Limits of a requested execution: each setting within its range and only where it means something.
 //!
-//! Invariant: a refusal names the field, the value and the limits; limits of the machine (processors, priorities it
-//! grants) are not judged here, since only the machine knows them.
+//! Invariant: a refusal names the field, the value and the limits; limits of the machine (processors,
+//! priorities it grants) are not judged here, since only the machine knows them.
 
 use super::super::host_of;
 use super::able;
@@ -23,7 +23,8 @@ const CATCH_UP: u32 = 1000;
 const THREADS: (u32, u32) = (1, 64);
 /// Limits of the longest stay inside a component's own code, ns.
 const MAX_STEP_NS: (u64, u64) = (100_000, 3_600_000_000_000);
-/// Limits of the rows a state table keeps: with fewer than three the newest could be overwritten while it is read.
+/// Limits of the rows a state table keeps: with fewer than three the newest could be overwritten while it is
+/// read.
 const HISTORY: (u32, u32) = (3, 65_536);
 /// Most bytes a state table may take.
 const HISTORY_BYTES: usize = 256 << 20;
@@ -31,8 +32,8 @@ const HISTORY_BYTES: usize = 256 << 20;
 /// A setting and what is wrong with it.
 type Fault = (&'static str, String);
 
-/// What a class gives its components, execution and defaults, that no Create could accept; what a Create may still add, a
-/// rate or a thread to run in, is not missed.
+/// Tells what no Create could accept of a class's own execution and defaults. A setting that a Create may
+/// still add, a rate or a thread to run in, may be absent.
 pub fn class_fault(class: &ClassInfo) -> Option<String> {
     let defaults = defaults(&class.config_schema);
     let mut wrong = validate(&class.config_schema, &defaults).into_iter();
@@ -56,7 +57,7 @@ fn row_bytes(class: &ClassInfo) -> usize {
     class.ports.state.as_ref().map_or(0, Type::size)
 }
 
-/// Everything that may be wrong with an execution but a cycle.
+/// Checks everything that may be wrong with an execution but a cycle.
 pub(in crate::plan) fn check(
     graph: &SystemGraph,
     verb: &str,
@@ -81,7 +82,7 @@ pub(in crate::plan) fn check(
     })
 }
 
-/// Whose thread it is, and that the model fits it.
+/// Checks the host of the thread, and that the model fits it.
 fn host(graph: &SystemGraph, id: &ComponentId, execution: &Execution) -> Result<(), Fault> {
     let (field, host) = match (&execution.stream_of, &execution.inside) {
         (Some(_), Some(_)) => {
@@ -121,7 +122,7 @@ fn host(graph: &SystemGraph, id: &ComponentId, execution: &Execution) -> Result<
     }
 }
 
-/// Only a class that hands its threads' calls over can be run by them.
+/// Refuses on_callback for a class that is not made for it: such a class never gets its device's calls.
 fn called_back(class: &ClassInfo, execution: &Execution) -> Result<(), Fault> {
     let [asked, offered] =
         [execution.model, class.execution.model].map(|m| m == Some(ExecutionModel::OnCallback));
@@ -135,7 +136,7 @@ fn called_back(class: &ClassInfo, execution: &Execution) -> Result<(), Fault> {
     Err(("model", why))
 }
 
-/// Whether a component can still be run by what gives it its pace.
+/// Checks that a component can still be run by the thread that sets its pace.
 pub(in crate::plan) fn check_limits(
     graph: &SystemGraph,
     class: &ClassInfo,
@@ -144,7 +145,8 @@ pub(in crate::plan) fn check_limits(
     limits(class, execution, period_of(graph, execution)).map_err(|(_, why)| why)
 }
 
-/// A class is run only by what it is made for. `period_ns`: between its steps, whoever gives the pace.
+/// Checks that a class is run only as it is made for. `period_ns`: time between its steps, whichever thread
+/// sets the pace.
 fn limits(class: &ClassInfo, execution: &Execution, period_ns: Option<u64>) -> Result<(), Fault> {
     let ExecutionLimits { models, min_period_ns, max_period_ns } = &class.limits;
     let name = &class.name;
@@ -188,10 +190,10 @@ fn rate(period_ns: u64) -> String {
     format!("{} Hz", (1e12 / period_ns as f64).round() / 1e3)
 }
 
-/// The time between the steps of a component that is run so, ns; `None` where no grid gives it.
+/// Returns the time between the steps of a component with this execution, ns; `None` where no grid gives it.
 fn period_of(graph: &SystemGraph, execution: &Execution) -> Option<u64> {
     let mut execution = execution;
-    // The graph holds no circle, but a walk that trusts nobody ends anyway.
+    // The graph holds no circle, but a walk that trusts no input ends anyway.
     for _ in 0..=graph.components.len() {
         let Some(host) = host_of(execution) else {
             let grid = execution.model.is_some_and(ExecutionModel::has_grid);
@@ -202,7 +204,7 @@ fn period_of(graph: &SystemGraph, execution: &Execution) -> Option<u64> {
     None
 }
 
-/// A setting that belongs to the thread, not to a component that only runs in it.
+/// Finds a setting that belongs to the thread, not to a component that only runs in it.
 fn misplaced(execution: &Execution) -> Option<(&'static str, &'static str)> {
     if execution.period_ns.is_some() {
         Some(("rate_hz", "a rate cannot be set"))
@@ -223,7 +225,7 @@ fn misplaced(execution: &Execution) -> Option<(&'static str, &'static str)> {
     }
 }
 
-/// What is wrong with the length of a period, ns.
+/// Tells what is wrong with the length of a period, ns.
 pub fn period_fault(period_ns: u64) -> Option<String> {
     let (low, high) = PERIOD_NS;
     let [asked, least, most] = [period_ns, low, high].map(duration);
@@ -321,7 +323,7 @@ fn step(execution: &Execution) -> Result<(), Fault> {
     }
 }
 
-/// With a period of its own, five of them or 50 ms are the longest stay, whatever max_step says.
+/// Refuses max_step beside a period: five periods or 50 ms are the longest stay then.
 fn step_without_period(execution: &Execution) -> Result<(), Fault> {
     let grid = execution.stream_of.is_none() && execution.model.is_some_and(ExecutionModel::has_grid);
     match execution.max_step_ns {
@@ -335,7 +337,7 @@ fn step_without_period(execution: &Execution) -> Result<(), Fault> {
     }
 }
 
-/// Whoever looks by itself needs a period at which it does.
+/// Refuses polling without a period: the thread would never look.
 fn wake(execution: &Execution) -> Result<(), Fault> {
     let model = execution.model.map_or("nothing", ExecutionModel::name);
     match execution.wake {

@@ -1,7 +1,7 @@
-//! What an arm does: the rules of `contracts::ARM`, tried one after the other on the bench.
+//! Behaviour of an arm: the rules of `contracts::ARM`, tried one after the other on the bench.
 //!
-//! Invariant: every rule has its check, in the order of the contract. Setpoints and events are watched in all of them, so a
-//! jump or an event too many is seen wherever it happens.
+//! Invariant: every rule has its check, in the order of the contract. Setpoints and events are watched in all
+//! of them, so a jump or an event too many is seen wherever it happens.
 
 mod means;
 
@@ -13,9 +13,9 @@ use crate::values::{List, Stamp};
 use means::same;
 use trocar_plugin_api::contracts::ARM;
 
-/// Fails the test, with the rule it breaks and what happened last, unless the arm behind `interface` does what the contract
-/// of arms says (`docs/INTERFACES.md`). The arm is ACTIVE, and free to move by a tenth of its range; in the end it is
-/// ENABLED, somewhere else.
+/// Fails the test, with the broken rule and the last events, unless the arm behind `interface` behaves as the
+/// contract of arms says (`docs/INTERFACES.md`). The arm is ACTIVE, and free to move by a tenth of its range;
+/// in the end it is ENABLED, somewhere else.
 ///
 /// ```no_run
 /// use trocar_sdk::testing::{Bench, assert_behaves_as_arm};
@@ -42,13 +42,13 @@ pub fn assert_behaves_as_arm<C: Class>(bench: &mut Bench<C>, interface: &str) {
     arm.check(7, Arm::leaves_what_lay_in_wait);
 }
 
-/// No arm takes a servo command of this age, ns.
+/// Age of a servo command that no arm takes, ns.
 const AGE_NS: u64 = 1_000_000_000;
 
 struct Arm<'b, C: Class> {
     bench: &'b mut Bench<C>,
     interface: &'b str,
-    /// What is tried now, as the contract says it.
+    /// Rule that is tried now, in the words of the contract.
     rule: &'static str,
     limits: JointConfiguration,
     /// The last event.
@@ -163,7 +163,7 @@ impl<C: Class> Arm<'_, C> {
 
     fn tells_each_change_once(&mut self) {
         self.ready();
-        // Each entry compares what was told with what is read.
+        // Each entry compares the events with the read.
         for word in ["pause", "pause", "resume"] {
             self.tell(word);
             self.steps(5);

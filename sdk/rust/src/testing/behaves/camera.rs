@@ -1,6 +1,7 @@
-//! What a camera does: the rules of `contracts::CAMERA`, tried on the bench.
+//! Behaviour of a camera: the rules of `contracts::CAMERA`, tried on the bench.
 //!
-//! Invariant: every rule has its check. The bench plays the readers that hold all frames; the camera sends in `step`.
+//! Invariant: every rule has its check. The bench plays the readers that hold all frames; the camera sends in
+//! `step`.
 
 use super::super::bench::{Bench, Life};
 use super::super::shape::Of;
@@ -16,18 +17,19 @@ const SAME_SIZE: &str = CAMERA.rules[1];
 const INSIDE: &str = CAMERA.rules[2];
 /// Steps within which a camera sends an image, or leaves one out.
 const PATIENCE: u32 = 10_000;
-/// Time within which one does that is fed.
+/// Time within which a fed camera does that.
 const FED: Duration = Duration::from_secs(30);
 
-/// Fails the test, with the rule it breaks and what happened last, unless the camera behind `interface`, with its output
-/// `image`, does what the contract of cameras says (`docs/INTERFACES.md`). The camera is ACTIVE and sends in `step`; in the
-/// end it is ACTIVE again, after a stop and a start.
+/// Fails the test, with the broken rule and the last events, unless the camera behind `interface`, with its
+/// output `image`, behaves as the contract of cameras says (`docs/INTERFACES.md`). The camera is ACTIVE and
+/// sends in `step`; in the end it is ACTIVE again, after a stop and a start.
 pub fn assert_behaves_as_camera<C: Class>(bench: &mut Bench<C>, interface: &str) {
     behaves(Camera { bench, interface, dropped: 0, emitted: None, feed: None });
 }
 
-/// As [`assert_behaves_as_camera`] for a camera whose images come from outside, in their own time: `feed` runs before each step
-/// and lets the next one come when the one before was taken. It is given 30 s of the wall's clock for an image.
+/// Checks as [`assert_behaves_as_camera`] does, for a camera whose images come from outside, in their own
+/// time: `feed` runs before each step and lets the next image come when the one before was taken. An image
+/// may take 30 s of wall-clock time.
 pub fn assert_behaves_as_camera_fed<C: Class>(
     bench: &mut Bench<C>,
     interface: &str,
@@ -59,13 +61,14 @@ struct Camera<'b, C: Class> {
     interface: &'b str,
     /// Told by the last `frame_dropped` since Start.
     dropped: u64,
-    /// What `emitted` gave last; none when it is not offered.
+    /// Last answer of `emitted`; none when it is not offered.
     emitted: Option<u64>,
-    /// What lets images come from outside.
+    /// Feed that lets images come from outside.
     feed: Option<Feed<'b, C>>,
 }
 
-/// How long an image, or that one is left out, is waited for: a number of steps, or a time where images come from outside.
+/// Limit of the wait for an image, or for the news that one is left out: a number of steps, or a time where
+/// images come from outside.
 struct Patience {
     looked: Instant,
     waited: Duration,
@@ -76,7 +79,7 @@ struct Patience {
 impl Patience {
     fn is_over(&mut self) -> bool {
         self.steps += 1;
-        // A machine that stands still costs no more than a second of it.
+        // A machine that stands still costs no more than a second of the time.
         self.waited += self.looked.elapsed().min(Duration::from_secs(1));
         self.looked = Instant::now();
         if self.fed { self.waited > FED } else { self.steps > PATIENCE }
@@ -87,13 +90,13 @@ impl Patience {
     }
 }
 
-/// What both kinds of header say.
+/// Content that both kinds of header have.
 struct Image {
     index: u64,
     stamp: Stamp,
     /// Width, height and format.
     size: (u32, u32, u32),
-    /// What the header promises and the bytes do not hold.
+    /// Part that the header promises and the bytes do not hold.
     beyond: Option<String>,
 }
 
@@ -152,7 +155,7 @@ impl<C: Class> Camera<'_, C> {
         left_out
     }
 
-    /// Steps until an image comes, which fits its bytes and what the camera says of itself.
+    /// Steps until an image comes, and checks that it fits its bytes and the camera's own figures.
     fn next_image(&mut self) -> Image {
         let mut patience = self.patience();
         while !patience.is_over() {
@@ -210,7 +213,7 @@ impl<C: Class> Camera<'_, C> {
         offered.then(|| self.bench.read(&path, ()).unwrap_or_default())
     }
 
-    /// What it sent since the last asking.
+    /// Returns the images sent since the last call.
     fn images(&mut self) -> Vec<Image> {
         let at = self.bench.shape.output("image");
         let stereo = matches!(&self.bench.shape.class().outputs[at].ty,

@@ -1,6 +1,7 @@
-//! Checks of what a standard device does, beside what it offers: the rules of its contract, on the bench.
+//! Checks of a standard device's behaviour, beside its members: the rules of its contract, on the bench.
 //!
-//! Invariant: a check for each rule a bench can see, in the order of the contract; a failure quotes the rule it breaks.
+//! Invariant: a check for each rule a bench can see, in the order of the contract; a failure quotes the rule
+//! it breaks.
 
 mod arm;
 mod camera;

@@ -1,7 +1,7 @@
 //! The life of the component on the bench: configure, start, stop, reset and what survives a swap.
 //!
-//! Invariant: as in a host: what is not allowed in a state is refused without entering the component, and after an entry
-//! that failed it is made safe and in FAULT: only `reset` leads out of there.
+//! Invariant: as in a host: an action that a state does not allow is refused without entering the component,
+//! and after an entry that failed the component is made safe and in FAULT: only `reset` leads out of there.
 
 use super::{Bench, Done, Failure, Life, collect, create};
 use crate::component::Class;
@@ -14,7 +14,7 @@ use trocar_plugin_api::abi::{self, Bytes, ErrBuf, Sink, Status};
 use trocar_plugin_api::desc::Safety;
 
 impl<C: Class> Bench<C> {
-    /// Where the component stands.
+    /// Returns the state of the component.
     pub fn life(&self) -> Life {
         self.life
     }
@@ -51,8 +51,8 @@ impl<C: Class> Bench<C> {
     }
 
     /// # Errors
-    /// The component's sentence; it was made safe then and is in FAULT, as everywhere below. Or that it is not READY or
-    /// STOPPED.
+    /// The component's sentence; it was made safe then and is in FAULT, as everywhere below. Or the component
+    /// is not READY or STOPPED.
     #[track_caller]
     pub fn start(&mut self) -> Done {
         self.allow("start", &[Life::Ready, Life::Stopped])?;
@@ -66,8 +66,8 @@ impl<C: Class> Bench<C> {
     /// `stop` and then `make_safe`, as a host does; nothing where it does not run.
     ///
     /// # Errors
-    /// The component's sentence when it is in FAULT then. Where nothing moves, a `make_safe` that refuses is no more than one
-    /// of the [`Bench::warnings`]: the component is STOPPED.
+    /// The component's sentence when it is in FAULT then. Where nothing moves, a `make_safe` that refuses is
+    /// only one of the [`Bench::warnings`]: the component is STOPPED.
     #[track_caller]
     pub fn stop(&mut self) -> Done {
         if !self.is_active() {
@@ -91,7 +91,7 @@ impl<C: Class> Bench<C> {
         Ok(())
     }
 
-    /// What a host does with a component whose entry failed.
+    /// Treats a component whose entry failed as a host does.
     pub(crate) fn failed(&mut self, entry: &str, failure: Failure) -> Failure {
         self.fault = format!("{entry}: {}", failure.reason);
         self.set_life(Life::Fault);
@@ -100,12 +100,12 @@ impl<C: Class> Bench<C> {
         failure
     }
 
-    /// Of an entry after which a component is trusted further unless it panicked.
+    /// Handles the result of an entry after which the component is trusted further unless it panicked.
     pub(crate) fn survived(&mut self, entry: &str, done: Done) -> Done {
         done.map_err(|e| if e.panicked() { self.failed(entry, e) } else { e })
     }
 
-    /// Stopped without being asked: no step begins any more.
+    /// Stops without being asked: no step begins any more.
     pub(crate) fn halt(&mut self) -> Done {
         self.set_life(Life::Stopped);
         self.make_safe()
@@ -128,20 +128,21 @@ impl<C: Class> Bench<C> {
         done
     }
 
-    /// What a host would show beside the component's state since it was made or reset: each `make_safe` that refused.
+    /// Returns the warnings that a host would show beside the component's state since it was made or reset:
+    /// each `make_safe` that refused.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
     /// # Errors
-    /// NOT_ACTIVE: what only an ACTIVE component takes is answered so by a host.
+    /// NOT_ACTIVE: a host answers so to calls that only an ACTIVE component takes.
     pub(crate) fn allow_active(&self, what: &str) -> Done {
         self.allow(what, &[Life::Active])
             .map_err(|e| Failure { reason: format!("NOT_ACTIVE: {}", e.reason), ..e })
     }
 
     /// # Errors
-    /// The component stands elsewhere; it was not entered.
+    /// The component is in another state; it was not entered.
     fn allow(&self, what: &str, lives: &[Life]) -> Done {
         if lives.contains(&self.life) {
             return Ok(());
@@ -154,12 +155,14 @@ impl<C: Class> Bench<C> {
         Err(Failure { status: abi::STATUS_FAILED, reason })
     }
 
-    /// How often `make_safe` was called: by the test, by `stop` and `lose_peer`, and after an entry that failed.
+    /// Returns how often `make_safe` was called: by the test, by `stop` and `lose_peer`, and after an entry
+    /// that failed.
     pub fn made_safe(&self) -> u64 {
         self.made_safe
     }
 
-    /// Another instance in the place of this one, configured the same, not started: what Reset does. Connections stay.
+    /// Replaces this instance by another one, configured the same, not started: what Reset does. Connections
+    /// stay.
     ///
     /// # Errors
     /// The component's sentence.
@@ -178,7 +181,7 @@ impl<C: Class> Bench<C> {
         self.configure(Json::Object(config))
     }
 
-    /// What a swap takes along: the bytes of the state row, and the snapshot.
+    /// Returns what a swap takes along: the bytes of the state row, and the snapshot.
     pub fn snapshot(&mut self) -> (Vec<u8>, Vec<u8>) {
         let mut taken: Vec<u8> = Vec::new();
         if let Some(f) = self.table.snapshot {
@@ -189,7 +192,8 @@ impl<C: Class> Bench<C> {
         (as_bytes(&self.row).to_vec(), taken)
     }
 
-    /// Takes what [`Bench::snapshot`] of another bench gave. One that is READY is STOPPED then: `resume` goes on with it.
+    /// Takes what [`Bench::snapshot`] of another bench gave. A READY component is STOPPED then: `resume` goes
+    /// on with it.
     ///
     /// # Errors
     /// The component's sentence.
@@ -228,7 +232,8 @@ impl<C: Class> Bench<C> {
 
     pub(super) fn destroy(&mut self) {
         if let Some(destroy) = self.table.destroy {
-            // SAFETY: the instance's last use; the caller makes another one or drops cells, slots and host after it.
+            // SAFETY: the instance's last use; the caller makes another one or drops cells, slots and host
+            // after it.
             unsafe { destroy(self.this) };
         }
     }

@@ -1,6 +1,6 @@
 //! Ports of the component on the bench: asked for, tied to cells, and tied anew when they change.
 //!
-//! Invariant: what stays by name and type keeps its cell, and with it what is queued in it.
+//! Invariant: a port that keeps name and type keeps its cell, and with it the queued values.
 
 use super::super::cells::{InCell, OutCell};
 use super::super::member_cells::{EventCell, FnCell};
@@ -14,7 +14,7 @@ use trocar_plugin_api::abi::{self, EventSlot, FnSlot, InSlot, OutSlot, Ports, Si
 use trocar_plugin_api::manifest::PortType;
 
 impl<C: Class> Bench<C> {
-    /// Asks a class with changing ports what it has now.
+    /// Asks a class with changing ports for its present ones.
     #[track_caller]
     pub(super) fn describe(&mut self) {
         let Some(describe) = self.table.describe else { return };
@@ -26,7 +26,7 @@ impl<C: Class> Bench<C> {
         self.shape = Shape::read(&json).unwrap_or_else(|why| panic!("{why}"));
     }
 
-    /// Ties every port; what stays by name keeps its cell, and with it what is queued in it.
+    /// Ties every port; a port that keeps its name keeps its cell, and with it the queued values.
     #[track_caller]
     pub(super) fn bind(&mut self) {
         fn slots<Cell, Slot>(wired: &[Wired<Cell, Slot>]) -> Vec<*const Slot> {
@@ -98,7 +98,7 @@ impl<C: Class> Bench<C> {
     }
 }
 
-/// What makes a port the same as before: its name and type.
+/// Returns the identity of a port: its name and type.
 fn key(name: &str, ty: &impl fmt::Debug) -> String {
     format!("{name} {ty:?}")
 }

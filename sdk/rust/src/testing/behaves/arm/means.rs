@@ -1,6 +1,8 @@
-//! What the checks of an arm are made of: commands that must be taken, steps that are watched, and the sentence of a failure.
+//! Tools for the checks of an arm: commands that must be taken, steps that are watched, and the sentence of a
+//! failure.
 //!
-//! Invariant: after every command and step the events told are compared with the read, and setpoints with the step before.
+//! Invariant: after every command and step the events told are compared with the read, and setpoints with the
+//! step before.
 
 use super::super::super::bench::{Failure, Life};
 use super::super::super::shape::Of;
@@ -90,7 +92,7 @@ impl<C: Class> Arm<'_, C> {
         self.expect(done.is_ok(), || format!("{member} to {goal:?} is refused: {done:?}"));
     }
 
-    /// Every kind of motion is refused, and what to send first is said.
+    /// Checks that every kind of motion is refused, with the command to send first.
     pub(super) fn refuses_motions(&mut self, first: &str) {
         let (at, tip) = (self.setpoint(), self.read::<Pose>("measured_cp"));
         let still = JointState { velocity: List::of(&vec![0.0; at.len()]), ..JointState::default() };
@@ -143,7 +145,7 @@ impl<C: Class> Arm<'_, C> {
         at
     }
 
-    /// How far joint 0 goes in a check, with its sign: to where there is more room.
+    /// Returns how far joint 0 goes in a check, with its sign: to the side with more room.
     pub(super) fn way(&self) -> f64 {
         let (lower, upper, at) = (self.limits.lower[0], self.limits.upper[0], self.setpoint()[0]);
         let far = (FAR * (upper - lower)).min(FAR * 10.0 * self.limits.speed[0]);
@@ -188,7 +190,7 @@ impl<C: Class> Arm<'_, C> {
         }
     }
 
-    /// Until joint 0 has gone this part of its way.
+    /// Steps until joint 0 has gone this part of its way.
     pub(super) fn under_way(&mut self, start: &[f64], part: f64) {
         let (some, from) = ((part * self.way()).abs(), start[0]);
         self.until("a motion to set off", |arm| (arm.setpoint()[0] - from).abs() > some);
@@ -232,7 +234,7 @@ impl<C: Class> Arm<'_, C> {
         self.stands(mode);
     }
 
-    /// Each event is a change, and the last one is what the read gives.
+    /// Checks that each event is a change, and that the last one equals the read.
     pub(super) fn watch(&mut self) {
         for event in self.bench.events::<OperatingState>(&self.path("operating_state")) {
             if same(&event, &self.told) {
@@ -253,7 +255,7 @@ impl<C: Class> Arm<'_, C> {
         }
     }
 
-    /// No joint's setpoint goes further in a step than its speed allows.
+    /// Checks that no joint's setpoint goes further in a step than its speed allows.
     pub(super) fn watch_setpoint(&mut self) {
         if self.operating().state != OperatingMode::ENABLED {
             self.before = None;
@@ -275,7 +277,7 @@ impl<C: Class> Arm<'_, C> {
     }
 }
 
-/// What is told when it changes.
+/// Tells whether two states are equal in what is told when it changes.
 pub(super) fn same(a: &OperatingState, b: &OperatingState) -> bool {
     (a.state, a.is_homed, a.is_busy) == (b.state, b.is_homed, b.is_busy)
 }
