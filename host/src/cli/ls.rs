@@ -2,6 +2,8 @@
 //!
 //! Invariant: one question to the GCM; it answers in under 50 ms.
 
+use std::collections::BTreeSet;
+
 use clap::Args;
 
 use super::failure::{Done, Exit};
@@ -13,12 +15,15 @@ use super::{out, style, units};
 /// Longest reason of a fault shown, characters.
 const FAULT: usize = 60;
 
-/// Lists processes, components, connections and classes.
+/// Lists processes, components and connections.
 #[derive(Args, Debug)]
 pub(super) struct LsArgs {
     /// Only this process, component or glob.
     #[arg(default_value = "", hide_default_value = true)]
     path: String,
+    /// Also the classes that components can be made of.
+    #[arg(long)]
+    classes: bool,
 }
 
 pub(super) async fn run(args: LsArgs, session: &Session) -> Done {
@@ -27,12 +32,26 @@ pub(super) async fn run(args: LsArgs, session: &Session) -> Done {
         return session.print_json(&view);
     }
     // A component or a glob does not ask for what else its process could make.
-    let with_classes = !args.path.contains(['/', '*']);
-    out::text(&render(&view, with_classes, style::stdout()));
+    let of_processes = !args.path.contains(['/', '*']);
+    let classes = match args.classes {
+        true => Classes::Listed,
+        false if of_processes => Classes::Counted,
+        false => Classes::LeftOut,
+    };
+    out::text(&render(&view, classes, style::stdout()));
     Ok(Exit::Ok)
 }
 
-fn render(view: &SystemView, with_classes: bool, colour: bool) -> String {
+/// The classes in a list: a hundred of them beside a demo push what runs out of sight.
+#[derive(Clone, Copy, PartialEq)]
+enum Classes {
+    Listed,
+    /// One line; listed where nothing was made of them yet.
+    Counted,
+    LeftOut,
+}
+
+fn render(view: &SystemView, shown: Classes, colour: bool) -> String {
     let mut text = String::new();
     let mut part = |title: &str, table: &Table| {
         if !table.is_empty() {
@@ -48,8 +67,12 @@ fn render(view: &SystemView, with_classes: bool, colour: bool) -> String {
     part("Components", &components(view));
     part("Connections", &connections(view));
     part("Halves between processes", &proxies(view));
-    if with_classes {
+    let empty = view.components.is_empty();
+    if shown == Classes::Listed || shown == Classes::Counted && empty {
         part("Classes", &classes(view));
+    } else if let (Classes::Counted, n @ 1..) = (shown, names(view).len()) {
+        let n = units::count(n as u64, "class");
+        text.push_str(&format!("\n{n} to make components of: `trocar ls --classes`\n"));
     }
     text.push_str(&format!("\nrevision {}\n", view.revision));
     text
@@ -165,12 +188,14 @@ fn proxies(view: &SystemView) -> Table {
     table
 }
 
+/// Names of all classes, each once.
+fn names(view: &SystemView) -> BTreeSet<&String> {
+    view.processes.iter().flat_map(|p| &p.classes).collect()
+}
+
 fn classes(view: &SystemView) -> Table {
     let mut table = Table::new(&["CLASS", "IN"]);
-    let mut names: Vec<&String> = view.processes.iter().flat_map(|p| &p.classes).collect();
-    names.sort();
-    names.dedup();
-    for name in names {
+    for name in names(view) {
         let holders = view.processes.iter().filter(|p| p.classes.contains(name)).map(|p| p.name.as_str());
         table.row([name.clone(), holders.collect::<Vec<_>>().join(", ")]);
     }
@@ -200,7 +225,7 @@ mod tests {
             }],
             connections: Vec::new(),
         };
-        let text = render(&view, true, false);
+        let text = render(&view, Classes::Listed, false);
         assert!(text.contains("FAULT: panicked at src/lib.rs:3"), "{text}");
         assert!(!text.contains("Connections"), "{text}");
         let heads: Vec<&str> =
@@ -213,6 +238,12 @@ mod tests {
         let row = text.lines().find(|line| line.contains("host/s ")).unwrap_or_default();
         assert!(row.contains("1.2.0-rc1"), "{text}");
         assert!(text.ends_with("revision 7\n"), "{text}");
+
+        let text = render(&view, Classes::Counted, false);
+        assert!(!text.contains("sine/sine") && text.contains("1 class to make components of"), "{text}");
+        let empty = SystemView { components: Vec::new(), ..view };
+        let text = render(&empty, Classes::Counted, false);
+        assert!(text.contains("sine/sine"), "there is nothing else to see: {text}");
     }
 
     #[test]
@@ -222,7 +253,7 @@ mod tests {
             components: vec![ComponentView { state: "FAULT".into(), fault, ..ComponentView::default() }],
             ..SystemView::default()
         };
-        let text = render(&view, true, false);
+        let text = render(&view, Classes::Counted, false);
         assert!(text.contains(&format!("FAULT: {}…", "µ".repeat(FAULT))), "{text}");
         assert!(text.lines().all(|line| line.chars().count() < 200), "{text}");
     }

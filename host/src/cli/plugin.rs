@@ -98,7 +98,8 @@ fn show(plugins: &[PluginView]) {
         let cells = [&p.process, &p.name, &p.version, &p.abi, &loaded, &p.classes.join(" "), &p.file];
         table.row(cells.map(Clone::clone));
     }
-    out::text(&if table.is_empty() { "no plugin is listed\n".to_owned() } else { table.render(0, colour) });
+    let none = "no plugin is listed; a file is looked at a moment after it was copied in\n";
+    out::text(&if table.is_empty() { none.to_owned() } else { table.render(0, colour) });
     for p in plugins {
         for warning in &p.warnings {
             out::line(&format!(

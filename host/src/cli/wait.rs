@@ -104,6 +104,7 @@ pub(super) async fn run(args: WaitArgs, session: &Session) -> Done {
     out::say(&match &seen.value {
         Some(value) => {
             let seconds = seen.stamp_ns as f64 / 1e9;
+            let value = out::without_padding(value);
             let payload = if value.is_null() { String::new() } else { format!("  {value}") };
             format!("{seconds:.6} s  {}{}", seen.path, units::cut(&payload, out::LONG))
         }

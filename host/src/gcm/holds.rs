@@ -17,6 +17,8 @@ use super::{ExecuteOptions, Gcm};
 const MOST: usize = 1024;
 /// Pause before a removal that failed is tried again, for one because the process is lost.
 const AGAIN: Duration = Duration::from_secs(1);
+/// Time in which a caller whose connection broke may hold again: the component is not removed before.
+const GRACE: Duration = Duration::from_secs(1);
 /// Time for which a process that is not known is waited for: a GCM that was started again hears of its
 /// processes one by one.
 const UNKNOWN: Duration = Duration::from_secs(60);
@@ -87,8 +89,10 @@ impl Held {
         }
     }
 
-    /// The holder has gone: the component is stopped and removed, now or as soon as its process lets it.
+    /// The holder has gone: the component is stopped and removed, unless another call holds it in a moment,
+    /// or as soon as its process lets it.
     pub async fn end(mut self) {
+        let _ = tokio::time::timeout(GRACE, self.over()).await;
         let (mut said, since) = (false, Instant::now());
         while !self.is_over() {
             let remove = Request::Remove { id: self.component.clone(), force: true };

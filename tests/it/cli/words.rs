@@ -72,7 +72,8 @@ fn a_list_of_what_is_not_there_is_refused_and_a_part_shows_that_part() {
     let part = trocar.run(&["ls", "host/s*"]).ends_with(OK).says("host/server");
     assert!(!part.stdout.contains("Classes"), "{part:#?}");
     trocar.run(&["ls", "**"]).ends_with(OK).says("host/client");
-    trocar.run(&["ls", "host"]).ends_with(OK).says("Classes");
+    trocar.run(&["ls", "host"]).ends_with(OK).says("2 classes to make components of: `trocar ls --classes`");
+    trocar.run(&["ls", "host", "--classes"]).ends_with(OK).says("example/Server");
 }
 
 #[test]

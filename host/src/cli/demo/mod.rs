@@ -249,6 +249,16 @@ impl Show<'_> {
             if let (Some(from), Ok(to)) = (from, Reading::now(&asking).await) {
                 out::text(&Report::between(&from, &to, &self.parts()).summary());
             }
+            if let Some(dir) = &self.pictures {
+                let name = self.behavior.name();
+                out::complain(
+                    "note",
+                    &format!(
+                        "{} may lack pictures: they are written when {name} was seen to its end",
+                        dir.display()
+                    ),
+                );
+            }
             return Ok(Exit::Ok);
         };
         if let Some(report) = &ended.report {

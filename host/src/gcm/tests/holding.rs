@@ -75,6 +75,21 @@ async fn a_component_of_a_process_that_is_not_known_yet_is_removed_when_that_has
 }
 
 #[tokio::test]
+async fn a_caller_whose_connection_broke_holds_again_and_nothing_was_removed() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a")]).await.unwrap();
+    let ending = tokio::spawn(hold(&gcm, "host/a").end());
+    tokio::task::yield_now().await;
+    let again = hold(&gcm, "host/a");
+    comes("the broken hold has ended", ending).await.unwrap();
+    assert!(
+        gcm.graph().components.contains_key(&id("host/a"))
+            && !lcm.done().contains(&"Remove host/a".to_owned())
+    );
+    again.let_go();
+}
+
+#[tokio::test]
 async fn one_hold_too_many_is_refused_and_one_that_ends_makes_room() {
     let (gcm, _lcm) = system().await;
     let mut all: Vec<_> = (0..1024).map(|n| hold(&gcm, &format!("host/c{n}"))).collect();

@@ -26,7 +26,7 @@ class TrocarError(Exception):
 
     ``code`` is the gRPC code (``"INVALID_ARGUMENT"``), ``reason`` the row of docs/errors.md (``"ARGUMENT_INVALID"``),
     ``sentence`` what was asked, what is wrong and what exists, ``metadata`` the values in it, ``violations`` the fields
-    to blame as ``(field, what)``, ``help`` where to read on.
+    to blame as ``(field, what)``, ``help`` what to do.
     """
 
     def __init__(
@@ -55,7 +55,8 @@ class TrocarError(Exception):
         frames = [f for f in traceback.extract_tb(self.__traceback__) if not os.path.abspath(f.filename).startswith(package)]
         own = [f for f in frames if f"{os.sep}IPython{os.sep}" not in f.filename]
         shown = [] if len(own) == 1 and own[0].lineno == 1 else traceback.format_list(own)
-        return [*"".join(shown).splitlines(), f"TrocarError: {self}"]
+        said = [f"TrocarError: {self}", *([f"  {self.help}"] if self.help else [])]
+        return [*"".join(shown).splitlines(), *said]
 
     def __reduce__(self) -> Any:
         return (type(self), (self.code, self.reason, self.sentence, self.metadata, self.violations, self.help))

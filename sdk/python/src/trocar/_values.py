@@ -106,9 +106,11 @@ class Record(Mapping):
         return list(self._values)
 
     def __repr__(self) -> str:
-        wide = max((len(k) for k in self._values), default=0)
+        # `reserved` only fills a payload up to its alignment.
+        fields = {key: value for key, value in self._values.items() if key != "reserved"}
+        wide = max((len(k) for k in fields), default=0)
         lines = [f"{self._name}:"]
-        for key, value in self._values.items():
+        for key, value in fields.items():
             unit = self._units.get(key, "")
             shown = (
                 np.array2string(value, threshold=20, prefix=" " * (wide + 4))
