@@ -8,6 +8,7 @@ Invariant: each rule that fails names the file, the line and the text. `forbidde
 the ones to write instead.
 """
 
+import fnmatch
 import pathlib
 import re
 import subprocess
@@ -28,10 +29,28 @@ TEST = re.compile(r"(^tests/|/tests/|/tests\.rs$|_tests\.rs$|/fake|/gen/|/benche
 LITERAL = re.compile(r'\br(#*)"(.*?)"\1|"((?:[^"\\]|\\.)*)"', re.S)
 
 
+def git(*args):
+    """What git says; None where this is no checkout of its own, or git is not there."""
+    try:
+        done = subprocess.run(["git", *args], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    except OSError:
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+def all_files():
+    found = git("ls-files")
+    if found is not None:
+        return found.splitlines()
+    # A tree without its history: what is built in it apart.
+    built = ("target", "node_modules", "__pycache__")
+    return [str(path.relative_to(ROOT)) for path in ROOT.rglob("*") if not set(path.relative_to(ROOT).parts) & set(built)]
+
+
 def listed(*patterns):
-    """Files of the checkout; all but generated ones."""
-    out = subprocess.run(["git", "ls-files", "--", *patterns], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout
-    return [name for name in out.splitlines() if "/gen/" not in name and (ROOT / name).is_file()]
+    """Files of the tree by name or pattern; all but generated ones."""
+    fits = lambda name: any(fnmatch.fnmatch(name, pattern) for pattern in patterns)
+    return [name for name in ALL if fits(name) and "/gen/" not in name and (ROOT / name).is_file()]
 
 
 def lines(name):
@@ -134,11 +153,11 @@ def links_lead_somewhere():
 
 
 def commits_say_why():
-    known = subprocess.run(["git", "cat-file", "-e", f"{SINCE}^{{commit}}"], cwd=ROOT, stderr=subprocess.DEVNULL).returncode == 0
-    which = f"{SINCE}..HEAD" if known else "-1"
-    log = subprocess.run(
-        ["git", "log", which, "--no-merges", "--format=%h%x00%s%x00%b%x01"], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True
-    ).stdout
+    which = f"{SINCE}..HEAD" if git("cat-file", "-e", f"{SINCE}^{{commit}}") is not None else "-1"
+    log = git("log", which, "--no-merges", "--format=%h%x00%s%x00%b%x01")
+    if log is None:
+        print("there is no history here: no commit was read")
+        return []
     found = []
     for entry in filter(None, (part.strip() for part in log.split("\x01"))):
         number, subject, body = entry.split("\x00")
@@ -149,6 +168,7 @@ def commits_say_why():
     return found
 
 
+ALL = all_files()
 RULES = [
     comments_are_no_wider,
     comments_open_with_a_noun_or_a_verb,
