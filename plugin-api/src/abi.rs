@@ -219,6 +219,18 @@ pub struct Loan {
     pub token: u64,
 }
 
+impl Loan {
+    /// A loan to be asked for: of this minor's size, with nothing in it.
+    pub const EMPTY: Loan = Loan {
+        struct_size: size_of::<Loan>() as u32,
+        flags: 0,
+        header: core::ptr::null_mut(),
+        bytes: core::ptr::null_mut(),
+        capacity: 0,
+        token: 0,
+    };
+}
+
 /// An output. Never waits for a reader.
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
@@ -266,6 +278,20 @@ pub struct SampleView {
     pub seq: u64,
     /// The host's own; handed back unchanged.
     pub token: u64,
+}
+
+impl SampleView {
+    /// A view to be lent: of this minor's size, with nothing in it.
+    pub const EMPTY: SampleView = SampleView {
+        struct_size: size_of::<SampleView>() as u32,
+        flags: 0,
+        header: core::ptr::null(),
+        bytes: core::ptr::null(),
+        len: 0,
+        stamp_ns: 0,
+        seq: 0,
+        token: 0,
+    };
 }
 
 /// Answer of `latest` and `next`: a sample is in the view.

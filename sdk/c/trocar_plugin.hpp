@@ -133,7 +133,7 @@ template <class T = None> class Event {
     const trocar_event *slot_ = nullptr;
 };
 
-// What an author derives from; override what you need. Throw Refused to say no with a sentence: from
+// Base of an author's component; override what you need. Throw Refused to say no with a sentence: from
 // configure the component is as it was before, so change nothing until all is checked; a command or read has
 // failed for its caller and nothing else happens; from start, stop, resume, make_safe and step the component
 // is in FAULT. Refused(why, TROCAR_STATUS_FAILED) from configure puts it in FAULT as well, and so does every

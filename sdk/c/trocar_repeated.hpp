@@ -46,8 +46,7 @@ template <class R, class... A, class F> void answer(F &&f, const void *arg, void
     }
 }
 
-// What an id beyond the manifest means: a member, and of which of its interfaces, counted in the order of the
-// description.
+// Meaning of an id beyond the manifest: a member, and its interface, counted in the order of the description.
 struct Place {
     size_t member;
     size_t each;
@@ -56,7 +55,7 @@ struct Beyond {
     std::vector<Place> commands, handlers;
 };
 
-// What class C offers and handles in interfaces with {} in their name. Names of members are
+// Members that class C offers and handles in interfaces with {} in their name. Names of members are
 // "interface_{}/member".
 template <class C> class Repeated {
   public:

@@ -1,4 +1,4 @@
-//! What trocar costs, as ratios measured in one run: `bench [--seconds N] [SUBJECT…]`; and whether a surgical
+//! Costs of trocar, as ratios measured in one run: `bench [--seconds N] [SUBJECT…]`; and whether a surgical
 //! system holds its gates under its full load: `bench [--seconds N] [--kills N] eyesaw`.
 //!
 //! Invariant: every figure stands beside a baseline of the same run on the same machine; only what is called

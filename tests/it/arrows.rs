@@ -9,8 +9,8 @@ use std::process::Command;
 use serde_json::Value;
 use trocar_tests::repository;
 
-/// What each crate may depend on, apart from plugins and fixtures, which may use the sdk (and plain libraries
-/// of ours) only.
+/// Crates that each crate may depend on. Plugins and fixtures may use the sdk (and plain libraries of ours)
+/// only.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-model", &[]),
     ("trocar-proto", &[]),
@@ -151,7 +151,7 @@ fn the_gcm_names_the_contract_of_the_lcm_and_no_lcm() {
     assert!(wrong.is_empty(), "these name an LCM: {wrong:?}");
 }
 
-/// What is built on is a decision with its reasons; what is not built on any more has none.
+/// A library that is built on is a decision with its reasons; one that is not built on any more has none.
 #[test]
 fn the_libraries_we_build_on_are_those_of_adr_0003() {
     let metadata = Metadata::read();

@@ -2,7 +2,7 @@
 //!
 //! Promise: whatever a stranger says at the socket, whatever a peer writes, says or hands over, the host
 //! lives, its other connections go on, nothing is left behind, and the log tells of it once, not per message.
-//! What cannot be made is refused with a sentence.
+//! A component that cannot be made is refused with a sentence.
 
 #[path = "hostile/counted.rs"]
 mod counted;

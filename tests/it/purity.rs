@@ -107,8 +107,8 @@ impl Scene {
     async fn runs_pure(self, what: &str, excused: Excused) -> Result<usize, HostError> {
         let (watch, waits) = (self.watch, format!("{STEPS} steps {what}"));
         let passed = tokio::task::spawn_blocking(move || {
-            // Who runs freely lets others run at each step: beside many it takes as long as they like, but it
-            // goes on.
+            // A free-running component lets others run at each step: beside many it takes as long as they
+            // like, but it goes on.
             while !watch.is_done() {
                 let before = watch.steps();
                 eventually(&waits, || match watch.steps() {

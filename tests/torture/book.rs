@@ -34,8 +34,8 @@ pub(crate) struct Line {
     pub(crate) counts: Option<Counts>,
 }
 
-/// What was counted here, in the control run, and what is allowed beyond that. Of two runs both are judged
-/// together: the machine takes from either, and of few the least hiccup is many.
+/// Counts of this run and of the control run, and what is allowed beyond that. Two runs are judged together:
+/// the machine takes from either, and the least hiccup is much of a small count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Counts {
     pub(crate) seen: u64,

@@ -325,8 +325,8 @@ impl<'a> Trial<'a> {
         if !safe.is_empty() {
             book.times("the actuator is safe", safe, STALE);
         }
-        // Whoever ends is often noticed before that; whoever stands still is not, so there it must have been
-        // seen.
+        // A process that ends is often noticed before that; one that stands still is not, so there it must
+        // have been seen.
         if !stale.is_empty() || !safe_of_still.is_empty() {
             book.times("the actuator sees that its input is stale", stale, STALE);
         }

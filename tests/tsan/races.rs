@@ -1,4 +1,4 @@
-//! What the thread sanitizer must report, and what it must not: the check of the tool itself, before the
+//! Races the thread sanitizer must report, and edges it must not: the check of the tool itself, before the
 //! suite is believed.
 //!
 //! Invariant: one case per process, named by the argument; without one all are listed, each with `race` or

@@ -17,7 +17,7 @@ import sys
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 COLUMNS = 110
 WORDS = 30
-# Of the comment blocks, per cent.
+# Share of the comment blocks, per cent.
 MOST_ODD = 3.0
 SUBJECT = 72
 # The commits after this one are looked at, where the checkout has it; else the last one.

@@ -15,8 +15,8 @@ use crate::mjpeg::{Encoder, Stream};
 use crate::server::Place;
 use crate::window::Window;
 
-/// What is copied while nobody looks, B/s, so that who comes late sees the newest frame: images that come now
-/// and then are copied all, a video a few times a second.
+/// Bytes copied while no browser looks, B/s, so that a late one sees the newest frame: images that come now
+/// and then are all copied, a video a few times a second.
 const KEPT_BYTES_PER_S: f64 = 16e6;
 /// What may be copied at once of smaller frames, B.
 const KEPT_AT_ONCE: f64 = 1e6;

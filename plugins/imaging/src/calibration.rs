@@ -107,8 +107,8 @@ struct Side {
     projection: [[f64; 4]; 3],
 }
 
-/// What both projections must have in common and have not: the name of each number, and what left and right
-/// say. Only the columns of the principal points and of the cameras may differ.
+/// Numbers in which both projections differ and must not: the name of each, and its left and right value.
+/// Only the columns of the principal points and of the cameras may differ.
 fn differences(left: &[[f64; 4]; 3], right: &[[f64; 4]; 3]) -> Vec<(&'static str, f64, f64)> {
     let shared = [("fx", 0, 0), ("skew", 0, 1), ("fy", 1, 1), ("cy", 1, 2), ("row of the camera", 1, 3)];
     shared

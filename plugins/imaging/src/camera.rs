@@ -31,8 +31,8 @@ impl Camera {
         Some(Camera { matrix, distortion, ray_of: pixel_of.try_inverse()?, pixel_of })
     }
 
-    /// Where the light of pixel (`u`, `v`) of the rectified image fell in the camera's own image, px; not a
-    /// number for a ray that cannot reach the camera.
+    /// Returns the point of the camera's own image, px, at which the light of pixel (`u`, `v`) of the
+    /// rectified image fell; not a number for a ray that cannot reach the camera.
     pub fn source(&self, u: f64, v: f64) -> (f64, f64) {
         let ray = self.ray_of * Vector3::new(u, v, 1.0);
         if ray.z <= 0.0 {
@@ -43,8 +43,8 @@ impl Camera {
         (k[(0, 0)] * x + k[(0, 1)] * y + k[(0, 2)], k[(1, 1)] * y + k[(1, 2)])
     }
 
-    /// Where pixel (`u`, `v`) of the camera's own image lies in the rectified one, px; none where the
-    /// distortion has no inverse there.
+    /// Returns the place of pixel (`u`, `v`) of the camera's own image in the rectified one, px; none where
+    /// the distortion has no inverse there.
     pub fn rectified(&self, u: f64, v: f64) -> Option<(f64, f64)> {
         let k = &self.matrix;
         let y0 = (v - k[(1, 2)]) / k[(1, 1)];

@@ -14,8 +14,8 @@ pub const RETINA_N_M: f64 = 150.0;
 /// Stiffness of the sclera against a shaft that is pulled aside at its entry, N/m (20 mN/mm).
 pub const SCLERA_N_M: f64 = 20.0;
 
-/// Where the tool enters the eye while the eye does not move, m: on the globe, opposite of the retina's apex,
-/// so that the tool of a robot at home stands in it without force.
+/// Point at which the tool enters the eye while the eye does not move, m: on the globe, opposite of the
+/// retina's apex, so that the tool of a robot at home stands in it without force.
 pub const ENTRY_M: [f64; 3] = [0.0, 0.0, -24e-3];
 
 /// A membrane lets go at these forces, N, one for each tooth.

@@ -56,8 +56,8 @@ impl Line<'_> {
         self.scenery.eye.turn * Vector3::new(f64::from(rx), f64::from(ry), 1.0)
     }
 
-    /// Where column `x` shows the retina; `at_rest` is the column of the picture at rest that is nearest to
-    /// its place.
+    /// Returns the point of the retina that column `x` shows; `at_rest` is the column of the picture at rest
+    /// that is nearest to its place.
     pub(crate) fn at(&self, x: usize, at_rest: usize) -> Point3<f64> {
         let depth = f64::from(self.depths[at_rest]) + self.scenery.shift.z;
         self.from + self.way(x) * depth

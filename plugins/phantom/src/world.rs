@@ -106,8 +106,8 @@ impl World {
         self.eye.surface_z(x, y) - self.membrane.height(x, y) + shift.z
     }
 
-    /// What a tool with its tip at `tip` (m) sees along `axis` at `t_s`; `None` when it points past the
-    /// retina. A tip below a surface has a negative distance.
+    /// Returns what lies below a tool with its tip at `tip` (m) along `axis` at `t_s`; `None` when it points
+    /// past the retina. A tip below a surface has a negative distance.
     pub fn below(&self, tip: &Point3<f64>, axis: &UnitVector3<f64>, t_s: f64) -> Option<Below> {
         let shift = self.motion.shift(t_s);
         let start = tip - shift;

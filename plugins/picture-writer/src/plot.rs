@@ -18,11 +18,11 @@ const INPUTS: [&str; 4] = ["a", "b", "c", "d"];
 
 #[derive(Config)]
 struct PlotConfig {
-    /// Where the number is in what comes to `a`, `b`, `c`, `d`, as `position/2`; "" or nothing where the
+    /// Place of the number in the samples of `a`, `b`, `c`, `d`, as `position/2`; "" or nothing where the
     /// samples are numbers
     #[config(default = [])]
     fields: Vec<String>,
-    /// Where a flag is beside it that is false while the number means nothing: a gap; "" or nothing where
+    /// Place of a flag beside it that is false while the number means nothing (a gap); "" or nothing where
     /// there is none
     #[config(default = [])]
     valid: Vec<String>,
@@ -78,8 +78,8 @@ pub struct Plot {
     /// As `a`
     #[input(optional, fifo = 256)]
     d: AnyIn,
-    /// What comes to an input has not the number, or not the flag, that is configured for it: what to set.
-    /// Once per connection.
+    /// The samples of an input lack the number, or the flag, that is configured for it: what to set. Once per
+    /// connection.
     #[event("ctl")]
     unplaced: Event<Text<160>>,
     /// Points taken since Start.

@@ -25,7 +25,7 @@ impl Saving {
     /// Runs `make` in a thread of that name, and gives what it says.
     ///
     /// # Errors
-    /// What `make` says; or an earlier one is still at work, this one does not come to an end, or there is no
+    /// The error of `make`; or an earlier thread is still at work, this one does not end, or there is no
     /// thread.
     pub(crate) fn run(
         &mut self,

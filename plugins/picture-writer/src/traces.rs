@@ -55,8 +55,8 @@ impl Trace {
     }
 }
 
-/// Of the points in each of `columns` equal spans of time the first, the lowest, the highest and the last, in
-/// their order; all of them where they are few. Gaps stay.
+/// Keeps the first, the lowest, the highest and the last point of each of `columns` equal spans of time, in
+/// their order; all points where they are few. Gaps stay.
 pub(crate) fn thinned(points: &[(f64, f64)], columns: usize) -> Vec<(f64, f64)> {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
     let span = last.0 - first.0;

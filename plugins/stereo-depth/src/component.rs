@@ -42,8 +42,8 @@ struct StereoDepthConfig {
     /// Most that left and right may disagree; -1: not compared
     #[config(live, min = -1, max = 64, unit = "px", default = 1)]
     consistency: i16,
-    /// Where the left image is darker than so many levels, and as far around as the window reaches, nothing
-    /// is known: outside of the round field of a microscope. 0: nowhere
+    /// Depth is not known where the left image is darker than so many levels, and as far around as the window
+    /// reaches: outside of the round field of a microscope. 0: nowhere
     #[config(live, min = 0, max = 255, default = 0)]
     dark: u8,
     /// Width of an image; frames of another one are left out

@@ -71,7 +71,8 @@ impl Scene {
         map
     }
 
-    /// Of the pixels at least `rim` from every side and with a true partner in the right image: share known,
+    /// Judges the pixels at least `rim` from every side and with a true partner in the right image: share
+    /// known,
     /// share of those wrong by more than 1 px, mean absolute error of the others in px.
     fn judge(&self, map: &[i16], rim: usize) -> (f64, f64, f64) {
         let (mut asked, mut known, mut wrong, mut error) = (0, 0, 0, 0.0);

@@ -39,8 +39,8 @@ pub struct Settings {
     pub texture: u16,
     /// Most that left and right may disagree, px; negative: not compared.
     pub consistency: i16,
-    /// Where the left image is darker than this many levels, and as far around as a window reaches, nothing
-    /// is known; 0: nowhere.
+    /// Depth is not known where the left image is darker than this many levels, and as far around as a window
+    /// reaches; 0: nowhere.
     pub dark: u8,
 }
 

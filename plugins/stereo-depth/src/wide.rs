@@ -55,7 +55,7 @@ pub(crate) fn pick<const NV: usize>(sums: &Sums<NV>, most: usize, uniqueness: u8
     let least_all = _mm256_broadcastw_epi16(least);
     let least = _mm_cvtsi128_si32(least) as u16;
 
-    // Where a sum is the limit or less, `packs` leaves a zero: every other 16-bit number becomes one that is
+    // `packs` leaves a zero where a sum is the limit or less: every other 16-bit number becomes one that is
     // not.
     let zero = _mm256_setzero_si256();
     let zeros = |a: __m256i, b: __m256i| {

@@ -106,8 +106,8 @@ struct Beat {
 }
 
 impl Beat {
-    /// How long after this wish there is certainly no other one: most of the time between two frames. Wishes
-    /// that were left out count by their numbers.
+    /// Time after this wish in which there is certainly no other one: most of the time between two frames.
+    /// Wishes that were left out count by their numbers.
     fn quiet_after(&mut self, wish: &Bare) -> Duration {
         let now = (wish.stamp.ns(), wish.number);
         let Some(before) = self.before.replace(now) else { return Duration::ZERO };

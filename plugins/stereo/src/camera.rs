@@ -27,7 +27,7 @@ struct CameraConfig {
     /// How pixels lie in memory; `mjpg`: the camera sends JPEGs, which become RGB8
     #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv", "mjpg"], default = "yuyv")]
     format: String,
-    /// How a frame holds the pair. `mono`: one image for both eyes; `side_by_side`: rows twice as wide;
+    /// Layout of the pair in a frame. `mono`: one image for both eyes; `side_by_side`: rows twice as wide;
     /// `stacked`: the left image above the right one
     #[config(one_of = ["mono", "side_by_side", "stacked"], default = "mono")]
     layout: String,

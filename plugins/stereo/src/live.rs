@@ -1,4 +1,4 @@
-//! What the sources of real frames share: from a feed's frame to the output, and from its trouble to the
+//! Code that the sources of real frames share: from a feed's frame to the output, and from its trouble to the
 //! operating state.
 //!
 //! Invariant: a device's trouble is the device's: the component stays ACTIVE, says FAULT with the reason, and

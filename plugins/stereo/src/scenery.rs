@@ -14,8 +14,8 @@ pub struct StereoGeometry {
     /// From the left camera to the right one.
     #[unit("m")]
     pub baseline_m: f64,
-    /// Of a rectified pair: distance = focal_px · baseline_m / (disparity + offset_px), disparity being the
-    /// left column less the right one; 0 of another pair.
+    /// Offset of a rectified pair: distance = focal_px · baseline_m / (disparity + offset_px), disparity
+    /// being the left column less the right one; 0 for any other pair.
     #[unit("px")]
     pub offset_px: f64,
     /// Where the axis meets the left image: column, row.

@@ -20,8 +20,8 @@ pub struct Rect {
     pub height: usize,
 }
 
-/// Where an inset of `inset` (width, height) pixels goes when asked to start at (`x`, `y`) of a `big` image:
-/// moved so that it fits; cut to the big image's size when it is larger.
+/// Returns the place of an inset of `inset` (width, height) pixels that is to start at (`x`, `y`) of a `big`
+/// image: moved so that it fits; cut to the big image's size when it is larger.
 pub fn place(x: i64, y: i64, inset: (usize, usize), big: (usize, usize)) -> Rect {
     let side = |at: i64, size: usize, room: usize| {
         let size = size.min(room);

@@ -27,7 +27,7 @@ pub(crate) fn remap_rgb(_: Avx2, _: &[u8], _: usize, _: &[Tap], _: &mut [u8]) ->
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn remap_rgb_avx2(bytes: &[u8], stride: usize, taps: &[Tap], to: &mut [u8]) -> usize {
-    // Of two pixels above and two below: all four reds, greens, blues; each left above, right above, left
+    // All four reds, greens, blues of two pixels above and two below; each left above, right above, left
     // below, …
     let z = -1i8;
     let gather =

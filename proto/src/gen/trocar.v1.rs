@@ -187,8 +187,8 @@ pub struct Output {
     /// "truth" or "sim": who may take it is checked at Connect; empty = no tag.
     #[prost(string, tag = "4")]
     pub tag: ::prost::alloc::string::String,
-    /// Every component has it without any code: a tap of its activity, for recorders. Costs nothing unless
-    /// connected.
+    /// Every component has it without any code: a tap of its activity, for recorders. Costs nothing
+    /// unless connected.
     #[prost(bool, tag = "5")]
     pub tap: bool,
 }
@@ -385,14 +385,15 @@ pub struct Execution {
     /// CPUs it may run on; empty = all.
     #[prost(uint32, repeated, tag = "8")]
     pub cpus: ::prost::alloc::vec::Vec<u32>,
-    /// Largest number of late periods that are made up for without pause, 0–1000; 0 = they are skipped. All
-    /// are counted.
+    /// Largest number of late periods that are made up for without pause, 0–1000; 0 = they are skipped.
+    /// All are counted.
     #[prost(uint32, optional, tag = "9")]
     pub catch_up: ::core::option::Option<u32>,
     /// Threads that share the work of a stream, 1–64, its own included; set where the stream begins.
     #[prost(uint32, optional, tag = "10")]
     pub threads: ::core::option::Option<u32>,
-    /// Longest stay inside its own code before a component without a period is UNRESPONSIVE, e.g. "0.05s".
+    /// Longest stay inside its own code before a component without a period is UNRESPONSIVE, e.g.
+    /// "0.05s".
     #[prost(message, optional, tag = "11")]
     pub max_step: ::core::option::Option<::prost_types::Duration>,
     /// Reaction behind a filter of a stream that failed: "stop_branch" (nothing more comes) or "bypass"
@@ -402,8 +403,9 @@ pub struct Execution {
     /// Rows its state table keeps, 3–65536; unset = 256.
     #[prost(uint32, optional, tag = "13")]
     pub history: ::core::option::Option<u32>,
-    /// Wake-up of its thread when something has come: "signal" (woken if it sleeps) or "poll" (it looks at
-    /// each period, and the sender pays for no wake); unset = poll up to a period of 10 ms, else signal.
+    /// Wake-up of its thread when something has come: "signal" (woken if it sleeps) or "poll" (it looks
+    /// at each period, and the sender pays for no wake); unset = poll up to a period of 10 ms, else
+    /// signal.
     #[prost(string, tag = "14")]
     pub wake: ::prost::alloc::string::String,
 }
@@ -636,8 +638,8 @@ pub struct ConnectOptions {
     /// Older samples make the client STALE_INPUT.
     #[prost(message, optional, tag = "2")]
     pub max_age: ::core::option::Option<::prost_types::Duration>,
-    /// Default deadline of blocking calls. A command with numbers that is only sent is not carried out once
-    /// it has waited longer.
+    /// Default deadline of blocking calls. A command with numbers that is only sent is not carried out
+    /// once it has waited longer.
     #[prost(message, optional, tag = "3")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
     /// Mailbox depth in commands or events.
@@ -653,8 +655,9 @@ pub struct ConnectOptions {
     /// carrier that cannot be had there is refused.
     #[prost(string, tag = "7")]
     pub carrier: ::prost::alloc::string::String,
-    /// True: on a grid of one period the client may step before the server, and takes its samples a period
-    /// later. A circle of components is cut here; in a circle without such a connection, at the newest one.
+    /// True: on a grid of one period the client may step before the server, and takes its samples a
+    /// period later. A circle of components is cut here; in a circle without such a connection, at the
+    /// newest one.
     #[prost(bool, tag = "8")]
     pub delay: bool,
 }
@@ -705,7 +708,8 @@ pub struct Connection {
     /// Commands that were only sent, ran and failed.
     #[prost(uint64, tag = "14")]
     pub failed: u64,
-    /// Commands that were only sent, and events, that were queued and never ran: Stop, Disconnect, Remove.
+    /// Commands that were only sent, and events, that were queued and never ran: Stop, Disconnect,
+    /// Remove.
     #[prost(uint64, tag = "15")]
     pub unexecuted: u64,
     /// Its halves, where its ends are in two processes, the client's first; empty otherwise. The figures
@@ -720,8 +724,8 @@ pub struct Connection {
     #[prost(string, tag = "18")]
     pub server_wake: ::prost::alloc::string::String,
     /// Samples that a newer one replaced before the client looked, where it takes the newest only, and
-    /// commands that a newer one of their kind superseded before the server looked, where the latest wins:
-    /// no loss.
+    /// commands that a newer one of their kind superseded before the server looked, where the latest
+    /// wins: no loss.
     #[prost(uint64, tag = "19")]
     pub skipped: u64,
 }
@@ -741,7 +745,8 @@ pub struct Proxy {
     /// Why it is not linked; empty when it is.
     #[prost(string, tag = "4")]
     pub why_not: ::prost::alloc::string::String,
-    /// Number of the link, the same at both halves: a higher one each time they are linked; 0 = not linked.
+    /// Number of the link, the same at both halves: a higher one each time they are linked; 0 = not
+    /// linked.
     #[prost(uint64, tag = "5")]
     pub epoch: u64,
     /// Carrier of the data: "memfd".
@@ -782,8 +787,8 @@ pub struct Process {
     /// Program that takes a place here without an LCM, e.g. "Python 3.11.7"; empty = an ordinary process.
     #[prost(string, tag = "10")]
     pub guest: ::prost::alloc::string::String,
-    /// True: nothing new can be made or connected in it, for the reason in the warnings; running components
-    /// go on.
+    /// True: nothing new can be made or connected in it, for the reason in the warnings; running
+    /// components go on.
     #[prost(bool, tag = "11")]
     pub unfit: bool,
 }
@@ -2147,8 +2152,8 @@ pub struct CreateResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2189,8 +2194,8 @@ pub struct RemoveResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2209,8 +2214,8 @@ pub struct ConfigureRequest {
     /// process/component.
     #[prost(string, tag = "1")]
     pub path: ::prost::alloc::string::String,
-    /// JSON merge patch (RFC 7396) on the present configuration: null removes a key, that is, gives it its
-    /// default.
+    /// JSON merge patch (RFC 7396) on the present configuration: null removes a key, that is, gives it
+    /// its default.
     #[prost(message, optional, tag = "2")]
     pub config: ::core::option::Option<::prost_types::Struct>,
     /// Source of its thread; unset fields stay as they are. Not while it runs: it is made anew on its new
@@ -2233,8 +2238,8 @@ pub struct ConfigureResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2272,8 +2277,8 @@ pub struct StartResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2311,8 +2316,8 @@ pub struct StopResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2353,8 +2358,8 @@ pub struct ResumeResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2392,8 +2397,8 @@ pub struct ResetResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2428,7 +2433,8 @@ pub struct ForgetResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "- disconnect …", "- remove …".
+    /// Steps that were done, or with validate_only would be: one line each, "- disconnect …", "- remove
+    /// …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2486,8 +2492,8 @@ pub struct ConnectResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2531,8 +2537,8 @@ pub struct DisconnectResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2670,8 +2676,8 @@ pub struct WaitForRequest {
     /// Longest wait, e.g. "2s"; absent = what the call allows, or 5 s. Never more than 60 s.
     #[prost(message, optional, tag = "3")]
     pub deadline: ::core::option::Option<::prost_types::Duration>,
-    /// Called as soon as this request listens for the event, so that no event caused by the call is missed;
-    /// a refused call ends the waiting. Only with an event.
+    /// Called as soon as this request listens for the event, so that no event caused by the call is
+    /// missed; a refused call ends the waiting. Only with an event.
     #[prost(message, optional, tag = "4")]
     pub call: ::core::option::Option<InvokeRequest>,
 }
@@ -2742,8 +2748,8 @@ pub struct ApplyRequest {
     #[prost(message, repeated, tag = "1")]
     pub steps: ::prost::alloc::vec::Vec<Step>,
     /// Instead of steps: the text of a system file. Its components and connections are made, changed and
-    /// started until the system matches the file; processes are not started. Things that the file does not
-    /// name stay.
+    /// started until the system matches the file; processes are not started. Things that the file does
+    /// not name stay.
     #[prost(string, tag = "2")]
     pub system: ::prost::alloc::string::String,
     /// With system: components of the file's processes, and connections of their inputs and required
@@ -2766,8 +2772,8 @@ pub struct ApplyResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2814,8 +2820,8 @@ pub struct CompareResponse {
     /// Revision of the graph that is compared.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// A line each: "+ …" is in the file alone, "- …" in the system alone, "~ …" in both and not the same.
-    /// None: no difference.
+    /// A line each: "+ …" is in the file alone, "- …" in the system alone, "~ …" in both and not the
+    /// same. None: no difference.
     #[prost(string, repeated, tag = "2")]
     pub differences: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Differences that Apply does not end, and who ends them.
@@ -2847,8 +2853,8 @@ pub struct ReplaceResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2886,8 +2892,8 @@ pub struct MoveResponse {
     /// Revision of the graph after it.
     #[prost(uint64, tag = "1")]
     pub revision: u64,
-    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure …",
-    /// "- stop …".
+    /// Steps that were done, or with validate_only would be: one line each, "+ create …", "~ configure
+    /// …", "- stop …".
     #[prost(string, repeated, tag = "2")]
     pub plan: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Present status of the components touched.
@@ -2906,8 +2912,8 @@ pub struct WatchRequest {
     /// The revision the caller has seen; when it is still the present one no snapshot is sent first.
     #[prost(uint64, tag = "1")]
     pub from_revision: u64,
-    /// Largest number of processes, components, connections and removals in one message; 0 = each snapshot
-    /// and delta in one.
+    /// Largest number of processes, components, connections and removals in one message; 0 = each
+    /// snapshot and delta in one.
     #[prost(int32, tag = "2")]
     pub page_size: i32,
 }
@@ -3150,7 +3156,8 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Start"));
             self.inner.unary(req, path, codec).await
         }
-        /// Stops components, clients before servers; devices are made safe. Never refused for a stale revision.
+        /// Stops components, clients before servers; devices are made safe. Never refused for a stale
+        /// revision.
         pub async fn stop(
             &mut self,
             request: impl tonic::IntoRequest<super::StopRequest>,
@@ -3431,7 +3438,8 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Compare"));
             self.inner.unary(req, path, codec).await
         }
-        /// Swaps a running component for one of another class or version. Not in this version: NOT_IMPLEMENTED.
+        /// Swaps a running component for one of another class or version. Not in this version:
+        /// NOT_IMPLEMENTED.
         pub async fn replace(
             &mut self,
             request: impl tonic::IntoRequest<super::ReplaceRequest>,
@@ -3589,7 +3597,8 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::StartRequest>,
         ) -> std::result::Result<tonic::Response<super::StartResponse>, tonic::Status>;
-        /// Stops components, clients before servers; devices are made safe. Never refused for a stale revision.
+        /// Stops components, clients before servers; devices are made safe. Never refused for a stale
+        /// revision.
         async fn stop(
             &self,
             request: tonic::Request<super::StopRequest>,
@@ -3660,7 +3669,8 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::CompareRequest>,
         ) -> std::result::Result<tonic::Response<super::CompareResponse>, tonic::Status>;
-        /// Swaps a running component for one of another class or version. Not in this version: NOT_IMPLEMENTED.
+        /// Swaps a running component for one of another class or version. Not in this version:
+        /// NOT_IMPLEMENTED.
         async fn replace(
             &self,
             request: tonic::Request<super::ReplaceRequest>,
@@ -5583,8 +5593,9 @@ pub mod attach_service_client {
                 .insert(GrpcMethod::new("trocar.v1.AttachService", "Tell"));
             self.inner.unary(req, path, codec).await
         }
-        /// A supervisor asks which processes it is to keep beside its own, for isolated components: all of them
-        /// at once, and again whenever that changes. While the stream is open, such components can be created.
+        /// A supervisor asks which processes it is to keep beside its own, for isolated components: all of
+        /// them at once, and again whenever that changes. While the stream is open, such components can be
+        /// created.
         pub async fn supervise(
             &mut self,
             request: impl tonic::IntoRequest<super::SuperviseRequest>,
@@ -5647,8 +5658,9 @@ pub mod attach_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// A supervisor asks which processes it is to keep beside its own, for isolated components: all of them
-        /// at once, and again whenever that changes. While the stream is open, such components can be created.
+        /// A supervisor asks which processes it is to keep beside its own, for isolated components: all of
+        /// them at once, and again whenever that changes. While the stream is open, such components can be
+        /// created.
         async fn supervise(
             &self,
             request: tonic::Request<super::SuperviseRequest>,
@@ -6043,8 +6055,8 @@ pub struct ReloadResponse {
 /// Asks for Recheck.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct RecheckRequest {
-    /// The plugin's name, or its file's; empty = every file. A named file is tried even if it was not tried
-    /// before.
+    /// The plugin's name, or its file's; empty = every file. A named file is tried even if it was not
+    /// tried before.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
     /// Only this process; empty = all.
@@ -6766,7 +6778,8 @@ pub struct RequireRequest {
     /// Path of the guest's component, as JoinResponse has it.
     #[prost(string, tag = "1")]
     pub component: ::prost::alloc::string::String,
-    /// Name of the required interface; empty = that of the provided one, with a number where that is taken.
+    /// Name of the required interface; empty = that of the provided one, with a number where that is
+    /// taken.
     #[prost(string, tag = "2")]
     pub name: ::prost::alloc::string::String,
     /// The provided interface, process/component/interface.
@@ -6884,8 +6897,8 @@ pub mod guest_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When
-        /// the stream ends, both go, with all their connections.
+        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open.
+        /// When the stream ends, both go, with all their connections.
         pub async fn join(
             &mut self,
             request: impl tonic::IntoRequest<super::JoinRequest>,
@@ -6939,9 +6952,10 @@ pub mod guest_service_client {
         }
         /// Ties a component to this call: when the caller ends the call, dies or cannot be reached any more,
         /// the component is stopped and removed, as by Remove with force. A component is held before it is
-        /// created, so that nothing is left behind whenever the caller dies. A later Hold of the same component
-        /// takes it over, and this one ends; it ends as well when the component is removed. A GCM that ends
-        /// lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
+        /// created, so that nothing is left behind whenever the caller dies. A later Hold of the same
+        /// component takes it over, and this one ends; it ends as well when the component is removed. A GCM
+        /// that ends lets go of what it holds: the component stays, and its caller holds it again at the next
+        /// GCM.
         pub async fn hold(
             &mut self,
             request: impl tonic::IntoRequest<super::HoldRequest>,
@@ -6987,8 +7001,8 @@ pub mod guest_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open. When
-        /// the stream ends, both go, with all their connections.
+        /// Takes a place: a process with one component in state ACTIVE, for as long as the stream is open.
+        /// When the stream ends, both go, with all their connections.
         async fn join(
             &self,
             request: tonic::Request<super::JoinRequest>,
@@ -7008,9 +7022,10 @@ pub mod guest_service_server {
             + 'static;
         /// Ties a component to this call: when the caller ends the call, dies or cannot be reached any more,
         /// the component is stopped and removed, as by Remove with force. A component is held before it is
-        /// created, so that nothing is left behind whenever the caller dies. A later Hold of the same component
-        /// takes it over, and this one ends; it ends as well when the component is removed. A GCM that ends
-        /// lets go of what it holds: the component stays, and its caller holds it again at the next GCM.
+        /// created, so that nothing is left behind whenever the caller dies. A later Hold of the same
+        /// component takes it over, and this one ends; it ends as well when the component is removed. A GCM
+        /// that ends lets go of what it holds: the component stays, and its caller holds it again at the next
+        /// GCM.
         async fn hold(
             &self,
             request: tonic::Request<super::HoldRequest>,

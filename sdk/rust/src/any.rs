@@ -399,17 +399,7 @@ mod tests {
         // SAFETY: the stub is static.
         let stub = unsafe { core::ptr::read(stubs::input()) };
         let slot = InSlot { struct_size: offset_of!(InSlot, hold) as u32, hold, ..stub };
-        let nothing = core::ptr::null();
-        let view = SampleView {
-            struct_size: size_of::<SampleView>() as u32,
-            flags: SAMPLE_FRESH,
-            header: nothing,
-            bytes: nothing.cast(),
-            len: 0,
-            stamp_ns: 0,
-            seq: 1,
-            token: 0,
-        };
+        let view = SampleView { flags: SAMPLE_FRESH, seq: 1, ..SampleView::EMPTY };
         assert!(AnyView { view, len: 0, slot: &slot }.hold().is_none());
     }
 }

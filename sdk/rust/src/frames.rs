@@ -160,14 +160,7 @@ impl<H: Payload> Out<Frame<H>> {
     /// `Unbound` when the output was never bound, `Exhausted` when all slots of the pool are in use
     /// (counted).
     pub fn loan(&mut self) -> Result<FrameLoan<'_, H>, NoFrame> {
-        let mut loan = Loan {
-            struct_size: size_of::<Loan>() as u32,
-            flags: 0,
-            header: core::ptr::null_mut(),
-            bytes: core::ptr::null_mut(),
-            capacity: 0,
-            token: 0,
-        };
+        let mut loan = Loan::EMPTY;
         // SAFETY: attach demands a valid slot, and the stub is static; the loan is writable and says its
         // size.
         let outcome = Outcome::from(unsafe { ((*self.slot).loan)((*self.slot).ctx, &mut loan) });

@@ -210,7 +210,7 @@ impl<T> In<T> {
     pub(crate) fn view(&mut self, next: bool) -> Option<SampleView> {
         // SAFETY: attach demands a valid slot, and the stub is static.
         let slot = unsafe { &*self.slot };
-        let mut view = empty_view();
+        let mut view = SampleView::EMPTY;
         let ask = if next { slot.next } else { slot.latest };
         // SAFETY: the context is the slot's own; the view is writable and says its size.
         let there = unsafe { ask(slot.ctx, &mut view) };
@@ -269,19 +269,6 @@ unsafe impl<T: Payload> Flow for In<T> {
     const KIND: PortKind = PortKind::Plain(T::DESC);
     unsafe fn attach(&mut self, slot: *const InSlot, tie: &Tie) {
         self.tie(slot, tie);
-    }
-}
-
-pub(crate) fn empty_view() -> SampleView {
-    SampleView {
-        struct_size: size_of::<SampleView>() as u32,
-        flags: 0,
-        header: core::ptr::null(),
-        bytes: core::ptr::null(),
-        len: 0,
-        stamp_ns: 0,
-        seq: 0,
-        token: 0,
     }
 }
 

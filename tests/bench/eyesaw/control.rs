@@ -1,4 +1,4 @@
-//! What the machine itself does meanwhile: threads without trocar that have the same periods, and the same
+//! Control: the machine itself meanwhile, by threads without trocar that have the same periods and the same
 //! work.
 //!
 //! Invariant: nothing of trocar is called here, so whatever is late or lost here is the machine's doing.

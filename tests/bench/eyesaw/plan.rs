@@ -169,8 +169,8 @@ impl Plan {
         self
     }
 
-    /// Who has steps of microseconds is on one processor; pictures and the recorder are on that which the
-    /// disk interrupts.
+    /// Components with steps of microseconds are on one processor; pictures and the recorder are on the one
+    /// that the disk interrupts.
     pub(super) fn placed(mut self, interrupted: usize) -> Plan {
         let last = thread::available_parallelism().map_or(1, usize::from) - 1;
         let quiet = usize::from(interrupted == 0).min(last);

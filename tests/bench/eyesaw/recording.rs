@@ -26,8 +26,8 @@ use crate::table::median;
 
 /// Those whose steps are timed, beside the stream of A-scans.
 const TIMED: [&str; 3] = ["host/camera", "robot/robot", "host/bscan"];
-/// What is recorded, how many may wait, and how many come in a second at least; events and commands come as
-/// they do.
+/// Outputs that are recorded, how many samples may wait, and how many come in a second at least; events and
+/// commands come as they do.
 const OUTPUTS: [(&str, usize, f64); 8] = [
     ("host/camera/image", 64, 30.0),
     ("oct/source/spectra", 64, 1000.0),
@@ -283,8 +283,8 @@ fn compare(verdicts: &mut Verdicts, rig: &Rig) {
 struct Recording<'r> {
     rig: &'r Rig,
     file: String,
-    /// What its queues had dropped when it began: what came between the connection and then found nobody, and
-    /// is no loss of it.
+    /// Samples its queues had dropped when it began: those that came between the connection and that moment,
+    /// which are no loss of it.
     dropped: Vec<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! How many A-scans the built OCT plugin makes of spectra in a second of one core, the surface included: by
+//! A-scans that the built OCT plugin makes of spectra in a second of one core, the surface included: by
 //! itself and beside the stereo load, which takes of the caches and of what two processors share: gate A8
 //! holds for both.
 //!

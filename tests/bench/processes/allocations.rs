@@ -1,5 +1,5 @@
-//! What the threads of two connected components allocate, in two processes that count it: this program again,
-//! as hosts.
+//! Allocations of the threads of two connected components, in two processes that count them: this program
+//! again, as hosts.
 //!
 //! Invariant: counted is from one step of a component to its next, so all that its thread does in between is
 //! in it; counting itself allocates nothing.

@@ -41,7 +41,7 @@ impl Component for Camera {
     }
 }
 
-/// What a sample with a mistake in it and two good ones come to: the thread of the library is the author's,
+/// Outcome of a sample with a mistake in it and two good ones: the thread of the library is the author's,
 /// and so is its panic.
 fn three_samples() -> Vec<String> {
     let host = LIBRARY.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap();

@@ -10,7 +10,7 @@ use trocar_tests::{Built, HostProcess, Trocar, World, eventually};
 
 use super::plugin;
 
-/// What code of the class has left behind in the directory the host and its vetting child run in: entry and
+/// Marks that code of the class has left in the directory the host and its vetting child run in: entry and
 /// process.
 fn marks(world: &World) -> Vec<String> {
     let text = fs::read_to_string(world.path("device-marks")).unwrap_or_default();

@@ -1,5 +1,4 @@
-//! What threads do while they are watched: what they allocate, and what they call of the system inside and
-//! outside of steps.
+//! Book of what watched threads do: their allocations, and their system calls inside and outside of steps.
 //!
 //! Invariant: watching itself allocates nothing and calls nothing; a thread is watched from one of its own
 //! steps to another, so all that its executor does in between is in the book.

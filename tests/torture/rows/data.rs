@@ -255,8 +255,8 @@ fn flows(rig: &Rig) -> Result<(), String> {
     })
 }
 
-/// What the connection counted as dropped is what its taker misses, since some moment; there was some, or
-/// nothing is shown.
+/// The connection counted as dropped what its taker misses, since some moment; there was some, or nothing is
+/// shown.
 fn exact(rig: &Rig, book: &mut Book, name: &str, before: (u64, u64)) -> Result<(), String> {
     let mut gaps = 0;
     let same = eventually("they are the same", || {

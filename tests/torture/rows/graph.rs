@@ -21,7 +21,7 @@ pub(crate) const ROWS: &[Row] = &[Row {
 /// What memory in use may grow by, KiB.
 const MOST_KIB: u64 = 1024;
 
-/// What the last may take beyond 1.2 × the first, ms: as much as parts that follow each other differ, and a
+/// Time the last may take beyond 1.2 × the first, ms: as much as parts that follow each other differ, and a
 /// little where those are alike by chance; never more than the other.
 const LEAST_MS: f64 = 0.2;
 const MOST_MS: f64 = 1.0;

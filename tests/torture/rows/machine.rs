@@ -24,8 +24,8 @@ use crate::world::World;
 pub(crate) const ROWS: &[Row] =
     &[Row { name: "45", fault: "hogs of processors, memory and disk", when: When::Times, run: hogs }];
 
-/// What the host's steps may be late beyond 1.5 times a bare thread, µs: what a step does before it looks at
-/// its clock.
+/// Lateness of the host's steps that is allowed beyond 1.5 times a bare thread's, µs: the work of a step
+/// before it looks at its clock.
 const BEYOND_US: f64 = 50.0;
 /// Of memory that is free, a hog takes a quarter, at most so much, MiB.
 const MOST_MIB: u64 = 512;

@@ -197,8 +197,7 @@ fn away(
                 (missed, wrong, taken) = (missed + flow.missed, wrong + flow.wrong, taken + flow.taken);
                 answered = ends.calls(&calls)?.answered.into_iter().fold(answered, u64::min);
                 for (sink, _) in SINKS {
-                    // What the machine itself was late in these very seconds, or all of it in the control
-                    // run.
+                    // Lateness of the machine itself in these very seconds, or all of it in the control run.
                     let late_ms = control.late_ms[sink].max(witness.late_since(Since::Moment));
                     late.entry(sink).or_default().push(Timed { ms: flow.late_ms[sink], late_ms });
                 }

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use trocar_model::{ClassInfo, Execution, ExecutionLimits, Programs, Refusal, Safety};
 use trocar_plugin_api::abi::{
     Bytes, ClassTable, ErrBuf, HostTable, IN_SAMPLE, KEEP, Keep, Outcome, PARALLEL, Parallel, Ports,
-    STATUS_FAILED, STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, Sink, SliceBody, Status, Tick,
+    STATUS_FAILED, STATUS_OK, STATUS_PANICKED, STATUS_UNSUPPORTED, SampleView, Sink, SliceBody, Status, Tick,
 };
 
 use super::LoadedClass;
@@ -87,7 +87,7 @@ impl Own {
 
     /// The next sample of an input of so many words, and its number.
     pub(crate) fn take_words<const N: usize>(&self, input: usize) -> Option<([u64; N], u64)> {
-        let mut view = frames::view();
+        let mut view = SampleView::EMPTY;
         // SAFETY: the tests' classes have that input, of that size or of frames with such a header, and are
         // bound before they run.
         unsafe {

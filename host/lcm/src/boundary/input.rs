@@ -287,16 +287,7 @@ impl InCell {
     /// from another thread cannot keep the cycle from its end. True when there may be more. Component's
     /// thread only; real-time.
     pub(crate) fn bypass(&self, output: &OutCell) -> bool {
-        let mut view = SampleView {
-            struct_size: size_of::<SampleView>() as u32,
-            flags: 0,
-            header: std::ptr::null(),
-            bytes: std::ptr::null(),
-            len: 0,
-            stamp_ns: 0,
-            seq: 0,
-            token: 0,
-        };
+        let mut view = SampleView::EMPTY;
         let mut passed = 0;
         loop {
             if self.show(&raw mut view, StreamReader::next) != IN_SAMPLE {

@@ -49,9 +49,9 @@ impl<'a> Patience<'a> {
                 Ok(answer) => {
                     if let Some(since) = self.since.take() {
                         // A manager that was made anew knows this program's hold a moment later.
-                        let stands = self.held.stands(since + AWAY).await;
+                        let stands = self.unless_ended(self.held.stands(since + AWAY)).await;
                         let but = "; but it would not end the recorder with this program";
-                        self.say(&format!("it answers again{}", if stands { "" } else { but }));
+                        self.say(&format!("it answers again{}", if stands == Some(true) { "" } else { but }));
                     }
                     return Ok(answer);
                 }
@@ -67,15 +67,20 @@ impl<'a> Patience<'a> {
                         ));
                     }
                     self.is_over = self.since.get_or_insert_with(Instant::now).elapsed() > AWAY;
-                    let sleep = tokio::time::sleep(AGAIN);
-                    match &mut self.ends {
-                        None => sleep.await,
-                        Some(ends) => tokio::select! {
-                            () = sleep => {}
-                            () = ends.come() => self.is_over = true,
-                        },
-                    }
+                    self.unless_ended(tokio::time::sleep(AGAIN)).await;
                 }
+            }
+        }
+    }
+
+    /// Waits for it; `None` when the user ends the waiting before.
+    async fn unless_ended<T>(&mut self, wait: impl Future<Output = T>) -> Option<T> {
+        let Some(ends) = &mut self.ends else { return Some(wait.await) };
+        tokio::select! {
+            waited = wait => Some(waited),
+            () = ends.come() => {
+                self.is_over = true;
+                None
             }
         }
     }

@@ -56,8 +56,8 @@ pub fn a_call_that_waits_in_a_server_that_goes_into_fault_is_answered(way: &Way)
 pub fn a_client_that_is_removed_while_its_call_waits_is_answered_and_the_call_never_runs(way: &Way) {
     let lab = Lab::running(way);
     let answer = waiting::leaving(way, &lab, Call::call(Function::Write, 9.0).within_ms(300));
-    // Whoever goes waits for its own call, which has its deadline; a server that rides on its thread is
-    // stopped first.
+    // A component that goes waits for its own call, which has its deadline; a server that rides on its thread
+    // is stopped first.
     let rides = way.deployment.client_leads();
     let expected = if rides { Outcome::NotActive } else { Outcome::Deadline };
     assert_eq!((answer.only(), answer.may_still_run), (expected, 0), "{answer:?}");

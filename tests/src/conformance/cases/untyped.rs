@@ -100,8 +100,8 @@ pub fn frames_are_held_as_long_as_enough_stay_free_for_their_source(way: &Way) {
             _ => Ok(()),
         });
     }
-    // Of four slots one is held by both; of another one, with one to be shown and one to wait, none would be
-    // left to fill.
+    // One of four slots is held by both; with another one held, one to be shown and one to wait, none would
+    // be left to fill.
     publish(&lab, "publish_frames");
     let other = kept_by(&lab, "second", "keep").0;
     assert_eq!(other, u64::from(lab.maps()), "where each has its own link, each holds one");

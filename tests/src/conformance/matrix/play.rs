@@ -184,8 +184,8 @@ impl<'a> Stage<'a> {
             lab.invoke("server/ctl/poke", None, false).expect("the server is there");
         }
         if self.reach().queues() {
-            // What runs the queue may not have come to it yet, as that of another process: a call behind all
-            // of it is answered when it has.
+            // The thread that runs the queue may not have come to it yet, as in another process: a call
+            // behind all of it is answered when it has.
             eventually("the queue is empty", || {
                 match lab.perform(call(Kind::Void, Mode::Call, FITS).from_threads(1)) {
                     answer if Fate::Executed.is(&answer, 1) => Ok(()),

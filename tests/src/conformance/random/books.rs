@@ -267,8 +267,8 @@ pub(super) struct Growth {
 
 /// Seeds from which on a growth can be told from what is made once and kept.
 const ENOUGH: usize = 200;
-/// What a thousand seeds may leave behind, kB: pages of the allocator's, spread over threads that come and
-/// go.
+/// Memory that a thousand seeds may leave behind, kB: pages of the allocator's, spread over threads that come
+/// and go.
 const LEFT_KB: u64 = 4096;
 
 impl Growth {

@@ -6,31 +6,10 @@ use trocar_plugin_api::abi::{EXECUTED, IN_SAMPLE, Loan, Outcome, SampleView};
 
 use super::Own;
 
-/// Room for a view of an input.
-pub(super) fn view() -> SampleView {
-    SampleView {
-        struct_size: size_of::<SampleView>() as u32,
-        flags: 0,
-        header: std::ptr::null(),
-        bytes: std::ptr::null(),
-        len: 0,
-        stamp_ns: 0,
-        seq: 0,
-        token: 0,
-    }
-}
-
 impl Own {
     /// Makes a frame with this number; EXHAUSTED where its pool has no slot.
     pub(crate) fn give(&self, output: usize, number: u64) -> Outcome {
-        let mut loan = Loan {
-            struct_size: size_of::<Loan>() as u32,
-            flags: 0,
-            header: std::ptr::null_mut(),
-            bytes: std::ptr::null_mut(),
-            capacity: 0,
-            token: 0,
-        };
+        let mut loan = Loan::EMPTY;
         // SAFETY: the tests' classes have that output, of frames with a header of u64, and are bound before
         // they run.
         unsafe {
@@ -46,7 +25,7 @@ impl Own {
 
     /// Passes the next frame of an input on and lets go of it; returns its number.
     pub(crate) fn pass(&self, input: usize, output: usize) -> Option<u64> {
-        let mut view = view();
+        let mut view = SampleView::EMPTY;
         // SAFETY: the tests' classes have these ports, of frames with a header of u64, and are bound before
         // they run.
         unsafe {
