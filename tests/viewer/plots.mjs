@@ -83,6 +83,8 @@ export async function several_curves_share_a_plot_and_leave_it_again(world) {
   // Beside it: a plot of its own; dragged by the mouse from its legend, one goes into the other.
   await drop(page, { ...READ, unit: 'N' });
   is(await inPlots(page), [[out, row], [read]], 'dropped beside');
+  // A curve without points has nothing that could be kept of it.
+  await reaches('it has points where it was dropped', () => points(page), 3);
   await page.locator(`[data-curve="${read}"] b`).dragTo(figure.locator('.box'));
   await eventually('it went over', async () => JSON.stringify(await inPlots(page)) === JSON.stringify([[out, row, read]]), () => inPlots(page));
   holds((await points(page)).every((n) => n > 1), 'with what was kept of it');
