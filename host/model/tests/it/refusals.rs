@@ -6,18 +6,6 @@ use trocar_model::*;
 
 use crate::scene::*;
 
-/// Names of the variants, read from the source: an enum cannot be asked for them.
-fn variants() -> Vec<String> {
-    let source = include_str!("../../src/refusal.rs");
-    let body = source.split("pub enum Refusal {").nth(1).unwrap().split("\n}").next().unwrap();
-    let name = |line: &str| {
-        let line = line.strip_prefix("    ")?;
-        line.starts_with(|c: char| c.is_ascii_uppercase())
-            .then(|| line.split([' ', ',']).next().unwrap().to_owned())
-    };
-    body.lines().filter_map(name).collect()
-}
-
 fn screaming(camel: &str) -> String {
     let mut out = String::new();
     for c in camel.chars() {
@@ -30,12 +18,12 @@ fn screaming(camel: &str) -> String {
 }
 
 #[test]
-fn every_refusal_has_an_example_and_its_reason_is_its_name() {
-    let variants: BTreeSet<String> = variants().iter().map(|v| screaming(v)).collect();
-    let reasons: Vec<&str> = Refusal::examples().iter().map(Refusal::reason).collect();
-    let unique: BTreeSet<String> = reasons.iter().map(|r| (*r).to_owned()).collect();
-    assert_eq!(unique, variants, "an example is missing, or a reason is not spelled as its variant");
-    assert_eq!(unique.len(), reasons.len(), "two examples have the same reason");
+fn every_refusal_has_an_example_of_its_own_and_its_reason_is_its_name() {
+    let mut seen = BTreeSet::new();
+    for refusal in Refusal::examples() {
+        assert_eq!(refusal.reason(), screaming(refusal.kind()));
+        assert!(seen.insert(refusal.reason()), "a row's example is of another row: {refusal:?}");
+    }
 }
 
 #[test]
