@@ -75,17 +75,7 @@ impl HostError {
             HostError::Threads { .. } | HostError::Memory { .. } => "NO_RESOURCES",
             HostError::NoRuntime { .. } => "NO_RUNTIME",
             HostError::BadName { .. } => "BAD_NAME",
-            HostError::Store(e) => match e {
-                StoreError::StateUnwritable { .. } => "STATE_UNWRITABLE",
-                StoreError::StateForeign { .. } => "STATE_FOREIGN",
-                StoreError::StateNoExec { .. } => "STATE_NOEXEC",
-                StoreError::DirMissing { .. }
-                | StoreError::DirNotADirectory { .. }
-                | StoreError::DirUnreadable { .. } => "PLUGIN_DIR",
-                StoreError::TrustUnknown { .. } | StoreError::TrustSigned | StoreError::AllowList { .. } => {
-                    "TRUST"
-                }
-            },
+            HostError::Store(e) => e.reason(),
             HostError::Linked { .. } => "PLUGIN_LINKED",
             HostError::NoVetting { .. } => "NO_VETTING",
             HostError::Listen { .. } => "LISTEN",
