@@ -280,7 +280,8 @@ macro_rules! changing {
         example: LcmTimeout { process: name("host"), what: "Start host/robot".into() },
     }
 
-    /// Another request had what this one needs until its deadline; nothing was begun.
+    /// Another request had what this one needs until its deadline, or has what only a later part of it turned
+    /// out to need; the same request may be under way under its id. This one leaves nothing changed.
     Busy { doing: String } => {
         code: DeadlineExceeded, reason: "BUSY",
         sentence: format!("the request did not get its turn in time: {doing} is still being carried out"),
