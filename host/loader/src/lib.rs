@@ -22,6 +22,7 @@ mod libraries;
 mod linked;
 mod listed;
 mod load;
+mod lock;
 mod manifest;
 mod resident;
 mod scan;

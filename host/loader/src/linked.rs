@@ -11,7 +11,7 @@ use trocar_plugin_api::manifest::Manifest;
 
 use super::host_table::LogFn;
 use super::load::settle_in;
-use super::store::lock;
+use super::lock::lock;
 use super::table::check_table;
 use super::{Fault, manifest};
 

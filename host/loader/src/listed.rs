@@ -13,7 +13,7 @@ use super::beside::Brought;
 use super::file::FileBytes;
 use super::inspect::Facts;
 use super::load::Libraries;
-use super::store::lock;
+use super::lock::lock;
 
 /// A plugin whose file was taken; none of its code has run.
 pub struct ListedPlugin {

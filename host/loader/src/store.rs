@@ -7,13 +7,14 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
 use super::cache::Cache;
 use super::host_table::{LogFn, log_to_crate};
 use super::listed::{ClassRef, Content, ListedPlugin};
 use super::load::{self, LoadedClass, LoadedPlugin};
+use super::lock::lock;
 use super::scan::{SETTLE, Scanner};
 use super::vet::{self, VET_LIMIT};
 use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog, closing};
@@ -348,11 +349,6 @@ impl PluginStore {
     fn entries(&self) -> Arc<Vec<PluginEntry>> {
         self.entries.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
-}
-
-/// A panic of one caller leaves the data whole: every update is a single assignment.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Tells whether a name means a file or its plugin; an empty name means every one.

@@ -20,7 +20,7 @@ use trocar_rt::house;
 
 use super::error::Stage;
 use super::load::LoadFault;
-use super::store::lock;
+use super::lock::lock;
 use super::{Fault, PluginError};
 
 /// Hidden subcommand of the host binary: `__vet FILE`.

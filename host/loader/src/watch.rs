@@ -17,8 +17,9 @@ use notify::{RecommendedWatcher, RecursiveMode, Watcher};
 use trocar_rt::house;
 
 use super::file::is_library_name;
+use super::lock::lock;
 use super::scan::SETTLE;
-use super::store::{Observer, lock};
+use super::store::Observer;
 use super::{CatalogChange, PluginStore};
 
 /// Quiet time after the last event before a look.
