@@ -12,7 +12,8 @@ use std::process::ExitCode;
 
 use super::error::Stage;
 use super::inspect_file;
-use super::load::{self, Libraries};
+use super::load;
+use super::resident::Libraries;
 use super::vet::{BEGIN_LIMIT, PREFIX, VET_LIMIT, stage_word};
 
 /// Entry point of the hidden subcommand. Exit code 0 when nothing is wrong with the file.

@@ -22,6 +22,7 @@ mod libraries;
 mod linked;
 mod listed;
 mod load;
+mod load_fault;
 mod lock;
 mod manifest;
 mod resident;

@@ -12,8 +12,8 @@ use super::Hash;
 use super::beside::Brought;
 use super::file::FileBytes;
 use super::inspect::Facts;
-use super::load::Libraries;
 use super::lock::lock;
+use super::resident::Libraries;
 
 /// A plugin whose file was taken; none of its code has run.
 pub struct ListedPlugin {

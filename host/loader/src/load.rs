@@ -10,7 +10,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
-use serde::{Deserialize, Serialize};
 use trocar_plugin_api::abi::{ClassTable, LOG_ERROR, PluginTable, STATUS_OK};
 use trocar_plugin_api::layout::{AbiHeader, LAYOUT_SYMBOL, LibHeader};
 use trocar_plugin_api::manifest::{Class, Manifest};
@@ -20,8 +19,10 @@ use trocar_rt::os::{self, Environment};
 use super::closing::Others;
 use super::error::Stage;
 use super::host_table::{self, LogFn};
+use super::load_fault::LoadFault;
+use super::resident::{self, Libraries};
 use super::table::{check_table, complete};
-use super::{Fault, Hash, ListedPlugin, resident};
+use super::{Fault, Hash, ListedPlugin};
 
 /// A library that is in this process. It stays, unless its manifest says `unload` and nothing of it is left.
 pub struct LoadedPlugin {
@@ -78,61 +79,6 @@ impl LoadedPlugin {
         let class = self.manifest.classes.get(index)?.clone();
         Some(LoadedClass { table, class, plugin: self.clone() })
     }
-}
-
-/// Fault the child reports and the host may also meet.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LoadFault {
-    UndefinedSymbol {
-        symbol: String,
-    },
-    MissingLibrary {
-        name: String,
-    },
-    OtherLibrary {
-        name: String,
-        loaded: String,
-    },
-    DlOpen {
-        because: String,
-    },
-    NoEntry,
-    Layout {
-        difference: String,
-    },
-    EntryDiffers {
-        what: String,
-    },
-    Init {
-        status: i32,
-        /// Last error it logged; empty when it logged none.
-        #[serde(default)]
-        said: String,
-    },
-}
-
-impl From<LoadFault> for Fault {
-    fn from(fault: LoadFault) -> Fault {
-        match fault {
-            LoadFault::UndefinedSymbol { symbol } => Fault::UndefinedSymbol { symbol },
-            LoadFault::MissingLibrary { name } => Fault::MissingLibrary { name },
-            LoadFault::OtherLibrary { name, loaded } => Fault::OtherLibrary { name, loaded },
-            LoadFault::DlOpen { because } => Fault::DlOpen { because },
-            LoadFault::NoEntry => Fault::NoEntry,
-            LoadFault::Layout { difference } => Fault::Layout { difference },
-            LoadFault::EntryDiffers { what } => Fault::EntryDiffers { what },
-            LoadFault::Init { status, said } => Fault::Init { status, said },
-        }
-    }
-}
-
-/// The names of libraries that have to stand for the right ones before a plugin is opened.
-pub(crate) struct Libraries {
-    /// Names of the libraries it needs.
-    pub needed: Vec<String>,
-    /// Libraries it brings.
-    pub brought: Vec<(String, Hash)>,
 }
 
 /// A library that was opened and whose entry agrees with its manifest.

@@ -11,7 +11,15 @@ use std::path::{Path, PathBuf};
 use libloading::os::unix::{Library, RTLD_LAZY};
 
 use super::Hash;
-use super::load::{Libraries, LoadFault};
+use super::load_fault::LoadFault;
+
+/// The names of libraries that have to stand for the right ones before a plugin is opened.
+pub(crate) struct Libraries {
+    /// Names of the libraries it needs.
+    pub needed: Vec<String>,
+    /// Libraries it brings.
+    pub brought: Vec<(String, Hash)>,
+}
 
 /// The beginning of `struct link_map` of <link.h>.
 #[repr(C)]

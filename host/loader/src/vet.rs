@@ -19,7 +19,7 @@ use trocar_plugin_api::environment;
 use trocar_rt::house;
 
 use super::error::Stage;
-use super::load::LoadFault;
+use super::load_fault::LoadFault;
 use super::lock::lock;
 use super::{Fault, PluginError};
 

@@ -148,7 +148,7 @@ fn a_library_whose_name_stands_for_another_file_in_the_process_is_refused_with_t
     store.rescan();
     assert!(load(&store, "third").is_ok());
     // A plugin that expects the system's is not given that of another plugin.
-    let expects = load::Libraries { needed: vec!["libshared.so.1".into()], brought: Vec::new() };
+    let expects = resident::Libraries { needed: vec!["libshared.so.1".into()], brought: Vec::new() };
     let cache = loaded.plugin.file.parent().and_then(Path::parent);
-    assert!(matches!(resident::check(&expects, cache), Err(load::LoadFault::OtherLibrary { .. })));
+    assert!(matches!(resident::check(&expects, cache), Err(load_fault::LoadFault::OtherLibrary { .. })));
 }
