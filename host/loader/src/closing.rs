@@ -4,32 +4,9 @@
 //! it, this is the last handle, and no thread runs that the host did not start and that came since it was
 //! loaded.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use trocar_rt::house;
-use trocar_rt::threads;
-
 use super::load::LoadedPlugin;
-
-/// Threads that the host did not start, by number and begin.
-pub(super) struct Others(BTreeMap<i32, u64>);
-
-impl Others {
-    pub(super) fn now() -> Others {
-        let mut own = house::threads();
-        let listed = threads::list();
-        // A thread that has come or gone meanwhile is on one of both lists.
-        own.extend(house::threads());
-        let others = listed.into_iter().filter(|tid| !own.contains(tid));
-        Others(others.map(|tid| (tid, threads::began(tid))).filter(|(_, began)| *began > 0).collect())
-    }
-
-    /// Tells whether a thread runs that did not run then.
-    fn are_more(&self) -> bool {
-        Others::now().0.iter().any(|(tid, began)| self.0.get(tid) != Some(began))
-    }
-}
 
 /// Returns the plugin, when it was the last handle and may go; otherwise the handle again.
 pub(super) fn last(plugin: Arc<LoadedPlugin>) -> Result<LoadedPlugin, Arc<LoadedPlugin>> {
@@ -38,28 +15,5 @@ pub(super) fn last(plugin: Arc<LoadedPlugin>) -> Result<LoadedPlugin, Arc<Loaded
     match &plugin.others {
         Some(before) if !before.are_more() => Ok(plugin),
         _ => Err(Arc::new(plugin)),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::mpsc::channel;
-    use std::thread;
-
-    use super::*;
-
-    #[test]
-    fn a_thread_that_the_host_did_not_start_is_seen_while_it_runs() {
-        let before = Others::now();
-        let (end, ended) = channel::<()>();
-        let (tell, told) = channel();
-        let other = thread::spawn(move || {
-            tell.send(trocar_rt::os::thread_id()).ok();
-            ended.recv().ok();
-        });
-        let tid = told.recv().unwrap_or_default();
-        assert!(before.are_more() && Others::now().0.contains_key(&tid));
-        drop(end);
-        assert!(other.join().is_ok());
     }
 }

@@ -25,6 +25,7 @@ mod load;
 mod load_fault;
 mod lock;
 mod manifest;
+mod other_threads;
 mod resident;
 mod scan;
 mod store;

@@ -16,10 +16,10 @@ use trocar_plugin_api::manifest::{Class, Manifest};
 use trocar_plugin_api::{ENTRY_SYMBOL, EntryFn, layout};
 use trocar_rt::os::{self, Environment};
 
-use super::closing::Others;
 use super::error::Stage;
 use super::host_table::{self, LogFn};
 use super::load_fault::LoadFault;
+use super::other_threads::Others;
 use super::resident::{self, Libraries};
 use super::table::{check_table, complete};
 use super::{Fault, Hash, ListedPlugin};
