@@ -13,7 +13,6 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::catalog::Finding;
 use super::file::{PluginDir, SIZE_LIMIT, Signature, is_shortage};
-use super::store::is_called;
 use super::{Fault, ListedPlugin, Trust, inspect, libraries};
 
 /// A file without a close event counts once its size and mtime did not change for this long.
@@ -183,6 +182,11 @@ impl Scanner {
         seen.current = true;
         Look::Outcome(outcome)
     }
+}
+
+/// Tells whether a name means a file or its plugin; an empty name means every one.
+pub(crate) fn is_called(name: &str, file: &Path, plugin: Option<&str>) -> bool {
+    name.is_empty() || plugin == Some(name) || file.file_name().is_some_and(|own| own == name)
 }
 
 type Outcome = Result<Arc<ListedPlugin>, Fault>;

@@ -15,7 +15,7 @@ use super::host_table::{LogFn, log_to_crate};
 use super::listed::{ClassRef, Content, ListedPlugin};
 use super::load::{self, LoadedClass, LoadedPlugin};
 use super::lock::lock;
-use super::scan::{SETTLE, Scanner};
+use super::scan::{SETTLE, Scanner, is_called};
 use super::vet::{self, VET_LIMIT};
 use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog, closing};
 
@@ -349,11 +349,6 @@ impl PluginStore {
     fn entries(&self) -> Arc<Vec<PluginEntry>> {
         self.entries.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
-}
-
-/// Tells whether a name means a file or its plugin; an empty name means every one.
-pub(super) fn is_called(name: &str, file: &Path, plugin: Option<&str>) -> bool {
-    name.is_empty() || plugin == Some(name) || file.file_name().is_some_and(|own| own == name)
 }
 
 /// Checks that the directory can be looked into.
