@@ -11,20 +11,11 @@ use serde_json::{Map, Value};
 
 use crate::refusal::brief as cut;
 use crate::value::{EXACT, ROUNDED};
-use crate::{Unit, nearest};
+use crate::{Unit, Violation, nearest};
 
 /// Most bytes of a configuration as JSON: a list of a few components stays below the 4 MiB that gRPC clients
 /// accept by default.
 const LARGEST: usize = 1 << 20;
-
-/// One thing that is wrong with a configuration.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Violation {
-    /// JSON pointer into the configuration.
-    pub pointer: String,
-    /// "cutoff_hz: 1000 Hz is above 400 Hz".
-    pub message: String,
-}
 
 /// The object of the schema's defaults; keys without a default are absent.
 pub fn defaults(schema: &Value) -> Value {

@@ -26,6 +26,7 @@ mod state;
 mod types;
 mod unit;
 mod value;
+mod violation;
 
 pub use change::{Change, Plan, Skipped, inverse};
 pub use class::{
@@ -34,8 +35,8 @@ pub use class::{
     Tag, Wake,
 };
 pub use config::{
-    Violation, complete, defaults, difference, idle_limit, is_same, live_only, live_settings, merge,
-    schema_fault, unknown_nulls, validate, without_defaults,
+    complete, defaults, difference, idle_limit, is_same, live_only, live_settings, merge, schema_fault,
+    unknown_nulls, validate, without_defaults,
 };
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
 pub use copies::{CopyRun, MAX_COPIES};
@@ -56,3 +57,4 @@ pub use state::{Health, State, StopReason, Verb, allowed, transition};
 pub use types::{EnumType, Field, Prim, StructType, Type};
 pub use unit::{Unit, UnitError};
 pub use value::{ValueError, check_range, decode, encode, from_float, interpolate};
+pub use violation::Violation;
