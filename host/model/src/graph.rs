@@ -10,12 +10,9 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::{
-    Change, ClassInfo, ComponentId, End, Execution, Health, Name, Plan, PortId, Ports, Proxy, Refusal, State,
+    Change, ClassInfo, ComponentId, Connection, ConnectionId, End, Execution, Health, Name, Plan, PortId,
+    Ports, Proxy, Refusal, State,
 };
-
-/// Identifies a connection within one GCM's life; never reused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ConnectionId(pub u64);
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SystemGraph {
@@ -86,45 +83,6 @@ pub struct Component {
     pub fault: String,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Queue {
-    Latest,
-    Fifo {
-        depth: usize,
-        /// Overwrite the oldest (true) or drop the newest (false) when full.
-        drop_oldest: bool,
-    },
-}
-
-/// Options of a connection; unset = the ports' defaults.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ConnectOptions {
-    pub queue: Option<Queue>,
-    /// Older samples are STALE_INPUT, ns.
-    pub max_age_ns: Option<u64>,
-    /// Default deadline of blocking calls, ns.
-    pub deadline_ns: Option<u64>,
-    /// Mailbox depth in commands or events.
-    pub mailbox: Option<usize>,
-    /// By-name copy when the layouts differ.
-    pub adapt: bool,
-    /// The client may step before the server on their grid: where a circle of components is cut.
-    pub delay: bool,
-    /// Take the place of an existing connection of the client end.
-    pub replace: bool,
-    /// Pins the carrier ("inline", "heap", "memfd"); empty = the best there is.
-    pub carrier: String,
-}
-
-/// `client` is an input or a required interface, `server` an output or a provided interface.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Connection {
-    pub id: ConnectionId,
-    pub client: PortId,
-    pub server: PortId,
-    pub options: ConnectOptions,
-}
-
 impl ProcessState {
     pub const ALL: [ProcessState; 4] =
         [ProcessState::Attached, ProcessState::Lost, ProcessState::Restarting, ProcessState::Failed];
@@ -153,6 +111,32 @@ impl SystemGraph {
     /// Tells whether this end belongs to a guest, which calls from outside.
     pub fn is_guests(&self, end: &PortId) -> bool {
         self.processes.get(&end.component.process).is_some_and(|p| !p.guest.is_empty())
+    }
+
+    /// Returns the halves of a connection between two processes, the client's first; for a half whose process
+    /// says nothing, the reason. Empty for a connection inside a process, and for a guest's, which calls from
+    /// outside.
+    pub fn proxies_of(&self, connection: &Connection) -> Vec<(End, Proxy)> {
+        if connection.is_near() || self.is_guests(&connection.client) {
+            return Vec::new();
+        }
+        let of = |end: End| {
+            let process = &connection.port(end).component.process;
+            let told = self.proxies.get(&(connection.id, end)).cloned();
+            (end, told.unwrap_or_else(|| self.silent(process)))
+        };
+        vec![of(End::Client), of(End::Server)]
+    }
+
+    fn silent(&self, process: &Name) -> Proxy {
+        let why = match self.processes.get(process).map(|p| p.state) {
+            Some(ProcessState::Attached) => format!("process {process} has not made it"),
+            Some(ProcessState::Lost) => format!("process {process} is LOST"),
+            Some(ProcessState::Restarting) => format!("process {process} is RESTARTING"),
+            Some(ProcessState::Failed) => format!("process {process} is FAILED"),
+            None => format!("process {process} is not there"),
+        };
+        Proxy { process: process.clone(), epoch: 0, why, carrier: String::new() }
     }
 
     /// Applies an accepted plan to the graph, without doing any of it. Health and fault texts are left alone:

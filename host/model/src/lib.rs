@@ -10,6 +10,7 @@ mod change;
 mod class;
 mod config;
 mod connect;
+mod connection;
 mod copies;
 mod frame;
 mod graph;
@@ -39,10 +40,9 @@ pub use config::{
     unknown_nulls, validate, without_defaults,
 };
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
+pub use connection::{ConnectOptions, Connection, ConnectionId, End, Queue};
 pub use copies::{CopyRun, MAX_COPIES};
-pub use graph::{
-    Component, ConnectOptions, Connection, ConnectionId, Process, ProcessState, Queue, SystemGraph, Warnings,
-};
+pub use graph::{Component, Process, ProcessState, SystemGraph, Warnings};
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
 pub use phases::{Phase, StepTimes, phases, steps_matter};
@@ -50,7 +50,7 @@ pub use plan::{
     Here, Planning, class_fault, default_max_age, host_of, least_execution, made_of, open_ends, period_fault,
     plan, plan_all, restore,
 };
-pub use proxy::{End, Proxy};
+pub use proxy::Proxy;
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};
