@@ -6,7 +6,7 @@
 
 use serde_json::Value;
 
-use crate::{Component, ComponentId, Connection, State, Verb};
+use crate::{Component, ComponentId, Connection, State, SystemGraph, Verb};
 
 /// One step an LCM can do.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,6 +58,49 @@ pub struct Skipped {
 pub struct Plan {
     pub changes: Vec<Change>,
     pub skipped: Vec<Skipped>,
+}
+
+impl SystemGraph {
+    /// Applies an accepted plan to the graph, without doing any of it. Health and fault texts are left alone:
+    /// the LCMs report them.
+    pub fn apply(&mut self, plan: &Plan) {
+        for change in &plan.changes {
+            self.carry_out(change);
+        }
+        if !plan.changes.is_empty() {
+            self.revision += 1;
+        }
+    }
+
+    /// Carries out one change. A change to something that has gone meanwhile has no effect.
+    pub fn carry_out(&mut self, change: &Change) {
+        match change {
+            Change::Create { id, component } => {
+                self.components.insert(id.clone(), (**component).clone());
+            }
+            Change::Destroy { id, .. } => {
+                self.components.remove(id);
+            }
+            Change::Configure { id, to, to_state, .. } => {
+                if let Some(component) = self.components.get_mut(id) {
+                    component.config = to.clone();
+                    component.state = *to_state;
+                }
+            }
+            Change::Run { id, to, .. } => {
+                if let Some(component) = self.components.get_mut(id) {
+                    component.state = *to;
+                }
+            }
+            Change::Connect { connection } => {
+                self.next_connection = self.next_connection.max(connection.id.0 + 1);
+                self.connections.insert(connection.id, connection.clone());
+            }
+            Change::Disconnect { connection, .. } => {
+                self.connections.remove(&connection.id);
+            }
+        }
+    }
 }
 
 /// Returns the plan that undoes `plan`.

@@ -10,8 +10,8 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::{
-    Change, ClassInfo, ComponentId, Connection, ConnectionId, End, Execution, Health, Name, Plan, PortId,
-    Ports, Proxy, Refusal, State,
+    ClassInfo, ComponentId, Connection, ConnectionId, End, Execution, Health, Name, PortId, Ports, Proxy,
+    Refusal, State,
 };
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -137,46 +137,5 @@ impl SystemGraph {
             None => format!("process {process} is not there"),
         };
         Proxy { process: process.clone(), epoch: 0, why, carrier: String::new() }
-    }
-
-    /// Applies an accepted plan to the graph, without doing any of it. Health and fault texts are left alone:
-    /// the LCMs report them.
-    pub fn apply(&mut self, plan: &Plan) {
-        for change in &plan.changes {
-            self.carry_out(change);
-        }
-        if !plan.changes.is_empty() {
-            self.revision += 1;
-        }
-    }
-
-    /// Carries out one change. A change to something that has gone meanwhile has no effect.
-    pub fn carry_out(&mut self, change: &Change) {
-        match change {
-            Change::Create { id, component } => {
-                self.components.insert(id.clone(), (**component).clone());
-            }
-            Change::Destroy { id, .. } => {
-                self.components.remove(id);
-            }
-            Change::Configure { id, to, to_state, .. } => {
-                if let Some(component) = self.components.get_mut(id) {
-                    component.config = to.clone();
-                    component.state = *to_state;
-                }
-            }
-            Change::Run { id, to, .. } => {
-                if let Some(component) = self.components.get_mut(id) {
-                    component.state = *to;
-                }
-            }
-            Change::Connect { connection } => {
-                self.next_connection = self.next_connection.max(connection.id.0 + 1);
-                self.connections.insert(connection.id, connection.clone());
-            }
-            Change::Disconnect { connection, .. } => {
-                self.connections.remove(&connection.id);
-            }
-        }
     }
 }
