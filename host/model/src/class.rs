@@ -5,7 +5,7 @@
 
 use serde_json::Value;
 
-use crate::{Name, Queue, Refusal, Type};
+use crate::{Queue, Type};
 
 /// One class of one plugin.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,17 +35,6 @@ impl ClassInfo {
     /// `plugin/class`, the spelling that is always unique.
     pub fn full_name(&self) -> String {
         format!("{}/{}", self.plugin, self.name)
-    }
-
-    /// Tells whether `process`, whose class it is, lets a component of it be made.
-    ///
-    /// # Errors
-    /// ProgramsNotAllowed.
-    pub fn is_let_into(&self, process: &Name) -> Result<(), Refusal> {
-        if self.programs != Programs::Refused {
-            return Ok(());
-        }
-        Err(Refusal::ProgramsNotAllowed { process: process.clone(), class: self.full_name() })
     }
 }
 

@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::{
     ClassInfo, ComponentId, Connection, ConnectionId, End, Execution, Health, Name, PortId, Ports, Proxy,
-    Refusal, State,
+    State,
 };
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -96,14 +96,6 @@ impl std::fmt::Display for ProcessState {
             ProcessState::Restarting => "RESTARTING",
             ProcessState::Failed => "FAILED",
         })
-    }
-}
-
-impl Process {
-    /// Returns the refusal for a process that cannot be asked, in its present state.
-    pub fn lost(&self, name: &Name) -> Refusal {
-        let last_exit = self.last_exit.clone();
-        Refusal::ProcessLost { process: name.clone(), state: self.state, last_exit }
     }
 }
 

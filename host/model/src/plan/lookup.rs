@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::{
-    ClassInfo, Component, ComponentId, Connection, Name, Pattern, PortId, Process, ProcessState, Refusal,
-    SystemGraph, Target, Verb,
+    ClassInfo, Component, ComponentId, Connection, Name, Pattern, PortId, Process, ProcessState, Programs,
+    Refusal, SystemGraph, Target, Verb,
 };
 
 impl SystemGraph {
@@ -126,6 +126,27 @@ impl SystemGraph {
             }
         }
         Ok(out.into_iter().collect())
+    }
+}
+
+impl Process {
+    /// Returns the refusal for a process that cannot be asked, in its present state.
+    pub fn lost(&self, name: &Name) -> Refusal {
+        let last_exit = self.last_exit.clone();
+        Refusal::ProcessLost { process: name.clone(), state: self.state, last_exit }
+    }
+}
+
+impl ClassInfo {
+    /// Tells whether `process`, whose class it is, lets a component of it be made.
+    ///
+    /// # Errors
+    /// ProgramsNotAllowed.
+    pub fn is_let_into(&self, process: &Name) -> Result<(), Refusal> {
+        if self.programs != Programs::Refused {
+            return Ok(());
+        }
+        Err(Refusal::ProgramsNotAllowed { process: process.clone(), class: self.full_name() })
     }
 }
 
