@@ -1,89 +1,20 @@
-//! Names and paths: `process/component/port/member`, one spelling and one parser each.
+//! Names and paths: `process/component/port/member`, one spelling each.
 //!
-//! Invariant: what `Display` prints, `parse` reads back; nothing outside this file splits a path.
+//! Invariant: what `Display` prints, `parse` reads back; nothing but `name/parse.rs` splits a path.
+
+mod parse;
 
 use std::fmt;
-use std::str::FromStr;
 use std::sync::Arc;
-
-use crate::Refusal;
-
-/// Longest name, bytes.
-const MAX: usize = 63;
 
 /// One segment of a path: `[A-Za-z_][A-Za-z0-9_.-]{0,62}`.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name(Arc<str>);
 
 impl Name {
-    /// # Errors
-    /// [`Refusal::BadPath`] with the position of the first character that is not allowed.
-    pub fn parse(text: &str) -> Result<Name, Refusal> {
-        match fault(text, 0) {
-            None => Ok(Name(text.into())),
-            Some(why) => Err(Refusal::BadPath { text: text.to_owned(), why }),
-        }
-    }
-
     pub fn as_str(&self) -> &str {
         &self.0
     }
-}
-
-/// Tells what is wrong with `segment`, which begins at character `at` (0-based) of a path.
-fn fault(segment: &str, at: usize) -> Option<String> {
-    if segment.is_empty() {
-        return Some(format!("a name is missing at character {}", at + 1));
-    }
-    for (i, c) in segment.chars().enumerate() {
-        let letter = c.is_ascii_alphabetic() || c == '_';
-        let other = c.is_ascii_digit() || c == '.' || c == '-';
-        let fits = letter || (other && i > 0);
-        if !fits {
-            let rule = if c == '*' {
-                "a * stands for several, and one name is meant here"
-            } else if i == 0 {
-                "a name begins with a letter or _"
-            } else {
-                "a name holds letters, digits, _ . -"
-            };
-            return Some(format!("character {} is {c:?}; {rule}", at + i + 1));
-        }
-    }
-    // Every character is ASCII here, so bytes are characters.
-    (segment.len() > MAX).then(|| {
-        format!(
-            "the name at character {} has {} characters; at most {MAX} are allowed",
-            at + 1,
-            segment.len()
-        )
-    })
-}
-
-/// Splits `text` into exactly `shape.len()` names; `shape` is for the message.
-fn parts<const N: usize>(text: &str, shape: [&str; N]) -> Result<[Name; N], Refusal> {
-    let bad = |why: String| Refusal::BadPath { text: text.to_owned(), why };
-    let wanted = shape.join("/");
-    if text.is_empty() {
-        return Err(bad(format!("it is empty; wanted {wanted}")));
-    }
-    if text.starts_with('/') {
-        return Err(bad(format!("it begins with a slash; wanted {wanted}")));
-    }
-    let found: Vec<&str> = text.split('/').collect();
-    let mut at = 0;
-    for segment in &found {
-        if let Some(why) = fault(segment, at) {
-            return Err(bad(why));
-        }
-        at += segment.chars().count() + 1;
-    }
-    let count = found.len();
-    let names: Vec<Name> = found.into_iter().map(|s| Name(s.into())).collect();
-    names.try_into().map_err(|_| {
-        let much = if count < N { "few" } else { "many" };
-        bad(format!("it has too {much} parts ({count}, not {N}); wanted {wanted}"))
-    })
 }
 
 /// `process/component`.
@@ -96,22 +27,6 @@ pub struct ComponentId {
 impl ComponentId {
     pub fn new(process: Name, component: Name) -> ComponentId {
         ComponentId { process, component }
-    }
-
-    /// # Errors
-    /// [`Refusal::BadPath`].
-    pub fn parse(text: &str) -> Result<ComponentId, Refusal> {
-        let [process, component] = parts(text, ["process", "component"])?;
-        Ok(ComponentId { process, component })
-    }
-
-    /// Returns its id in a process of its own: `host/robot` is then `host.robot/robot`.
-    ///
-    /// # Errors
-    /// [`Refusal::BadPath`]: that process would have too long a name.
-    pub fn apart(&self) -> Result<ComponentId, Refusal> {
-        let process = Name::parse(&format!("{}.{}", self.process, self.component))?;
-        Ok(ComponentId { process, component: self.component.clone() })
     }
 
     pub fn port(&self, port: Name) -> PortId {
@@ -127,23 +42,6 @@ pub struct PortId {
 }
 
 impl PortId {
-    /// # Errors
-    /// [`Refusal::BadPath`].
-    pub fn parse(text: &str) -> Result<PortId, Refusal> {
-        let [process, component, port] =
-            parts(text, ["process", "component", "port"]).map_err(|refusal| match ComponentId::parse(text) {
-                Ok(id) => {
-                    let why = format!(
-                        "it names a component, not one of its ports: `trocar describe {id}` shows them; wanted \
-                         process/component/port"
-                    );
-                    Refusal::BadPath { text: text.to_owned(), why }
-                }
-                Err(_) => refusal,
-            })?;
-        Ok(PortId { component: ComponentId { process, component }, port })
-    }
-
     pub fn member(&self, member: Name) -> MemberId {
         MemberId { port: self.clone(), member }
     }
@@ -154,16 +52,6 @@ impl PortId {
 pub struct MemberId {
     pub port: PortId,
     pub member: Name,
-}
-
-impl MemberId {
-    /// # Errors
-    /// [`Refusal::BadPath`].
-    pub fn parse(text: &str) -> Result<MemberId, Refusal> {
-        let [process, component, port, member] =
-            parts(text, ["process", "component", "interface", "member"])?;
-        Ok(MemberId { port: PortId { component: ComponentId { process, component }, port }, member })
-    }
 }
 
 /// A glob over components: `**`, `host/**`, `host/*`, `*/robot`, `host/rob*`. `*` never crosses a slash, `**`
@@ -178,31 +66,6 @@ impl Pattern {
     /// Every component of every process.
     pub fn all() -> Pattern {
         Pattern { process: "**".into(), component: "**".into() }
-    }
-
-    /// # Errors
-    /// [`Refusal::BadPath`].
-    pub fn parse(text: &str) -> Result<Pattern, Refusal> {
-        if text == "**" {
-            return Ok(Pattern::all());
-        }
-        // Each * stands for at least one character of a name, so a letter in its place checks the rest of the
-        // grammar.
-        let plain = text.replace('*', "x");
-        match ComponentId::parse(&plain) {
-            Ok(_) => {}
-            Err(Refusal::BadPath { why, .. }) => {
-                let why = format!("{why} (a pattern is **, process/** or process/component with * in them)");
-                return Err(Refusal::BadPath { text: text.to_owned(), why });
-            }
-            Err(other) => return Err(other),
-        }
-        let (process, component) = text.split_once('/').unwrap_or((text, "*"));
-        if process.contains("**") || (component.contains("**") && component != "**") {
-            let why = "** stands alone or as the last part, as in ** and host/**".to_owned();
-            return Err(Refusal::BadPath { text: text.to_owned(), why });
-        }
-        Ok(Pattern { process: process.into(), component: component.into() })
     }
 
     pub fn matches(&self, id: &ComponentId) -> bool {
@@ -238,18 +101,6 @@ fn glob(pattern: &[u8], text: &[u8]) -> bool {
 pub enum Target {
     One(ComponentId),
     Glob(Pattern),
-}
-
-impl Target {
-    /// # Errors
-    /// [`Refusal::BadPath`].
-    pub fn parse(text: &str) -> Result<Target, Refusal> {
-        if text.contains('*') {
-            Pattern::parse(text).map(Target::Glob)
-        } else {
-            ComponentId::parse(text).map(Target::One)
-        }
-    }
 }
 
 impl fmt::Display for Name {
@@ -296,26 +147,16 @@ impl fmt::Display for Target {
 }
 
 /// `Debug` prints the path itself: a failed assertion then reads like a log line.
-macro_rules! path_traits {
+macro_rules! debug_as_display {
     ($($ty:ident)*) => {$(
         impl fmt::Debug for $ty {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 fmt::Display::fmt(self, f)
             }
         }
-        path_traits!(@parse $ty);
     )*};
-    (@parse $ty:ident) => {
-        impl FromStr for $ty {
-            type Err = Refusal;
-            fn from_str(text: &str) -> Result<$ty, Refusal> {
-                $ty::parse(text)
-            }
-        }
-    };
 }
-path_traits!(Name ComponentId PortId MemberId Pattern);
-path_traits!(@parse Target);
+debug_as_display!(Name ComponentId PortId MemberId Pattern);
 
 impl AsRef<str> for Name {
     fn as_ref(&self) -> &str {
