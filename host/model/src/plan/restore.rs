@@ -12,8 +12,8 @@ use super::run::{open_ends, servers_first};
 use super::tags::forbidden;
 use super::{Plan, host_of};
 use crate::{
-    Change, Component, ComponentId, ConnectionId, Health, Name, Safety, Skipped, State, StopReason,
-    SystemGraph, Verb,
+    Change, ClassInfo, Component, ComponentId, ConnectionId, Health, Name, Safety, Skipped, State,
+    StopReason, SystemGraph, Verb,
 };
 
 /// Components and connections a process has already: none, unless it was interrupted while it got them back.
@@ -33,37 +33,68 @@ pub fn restore(
     wanted: &BTreeMap<ComponentId, State>,
     here: &Here,
 ) -> Plan {
-    let mut plan = Plan::default();
     let mine: BTreeMap<&ComponentId, &Component> =
         graph.components.iter().filter(|(id, _)| id.process == *process).collect();
-    let mut made = BTreeSet::new();
-    let mut whole = graph.clone();
-    let mut running = Vec::new();
+    let (plan, whole) = (Plan::default(), graph.clone());
+    let (made, running) = (BTreeSet::new(), Vec::new());
+    let mut restored = Restored { graph, process, here, plan, whole, made, running };
     for id in owners_first(&mine) {
         let old = mine[&id];
-        let stands_already = here.components.get(&id);
-        let offered = graph.class(process, &old.class.full_name());
-        let class = match offered.and_then(|class| class.is_let_into(process).map(|()| class)) {
-            Ok(class) => class,
-            Err(_) if stands_already.is_some() => old.class.clone(),
-            Err(refusal) => {
-                plan.skipped.push(Skipped { id, why: refusal.to_string() });
-                continue;
-            }
-        };
-        if stands_already.is_none()
-            && let Some(owner) = host_of(&old.execution).filter(|o| mine.contains_key(o) && !made.contains(o))
-        {
-            let why = format!("it runs in the thread of {owner}, which could not be made again");
-            plan.skipped.push(Skipped { id, why });
-            continue;
-        }
         let was = wanted.get(&id).copied().unwrap_or(old.state);
+        match restored.class(&id, old) {
+            Ok(class) => restored.make(id, old, class, was),
+            Err(why) => restored.plan.skipped.push(Skipped { id, why }),
+        }
+    }
+    restored.connect();
+    restored.start();
+    restored.plan
+}
+
+/// A process on the way back.
+struct Restored<'a> {
+    /// As it was last seen.
+    graph: &'a SystemGraph,
+    process: &'a Name,
+    here: &'a Here,
+    plan: Plan,
+    /// The graph with what was made again, and without what cannot be.
+    whole: SystemGraph,
+    made: BTreeSet<ComponentId>,
+    /// Components to be started, none of which was named in a request.
+    running: Vec<(ComponentId, bool)>,
+}
+
+impl Restored<'_> {
+    /// Returns the class a component is made of; or the reason why it cannot be made.
+    fn class(&self, id: &ComponentId, old: &Component) -> Result<Arc<ClassInfo>, String> {
+        let stands_already = self.here.components.contains_key(id);
+        let offered = self.graph.class(self.process, &old.class.full_name());
+        let class = match offered.and_then(|class| class.is_let_into(self.process).map(|()| class)) {
+            Err(_) if stands_already => old.class.clone(),
+            offered => offered.map_err(|refusal| refusal.to_string())?,
+        };
+        let is_missing = |owner: &ComponentId| {
+            owner.process == *self.process
+                && self.graph.components.contains_key(owner)
+                && !self.made.contains(owner)
+        };
+        match host_of(&old.execution).filter(is_missing) {
+            Some(owner) if !stands_already => {
+                Err(format!("it runs in the thread of {owner}, which could not be made again"))
+            }
+            _ => Ok(class),
+        }
+    }
+
+    /// Makes and configures a component, as far as it does not stand already, and notes whether it is to run.
+    fn make(&mut self, id: ComponentId, old: &Component, class: Arc<ClassInfo>, was: State) {
+        let stands_already = self.here.components.get(&id);
         // The class may be another one by now, with the same name.
         let to = stands(was, [old.class.safety, class.safety].contains(&Safety::Actuator));
         let is_idle = stands_already.is_none_or(|now| matches!(now, State::Created | State::Ready));
         if was == State::Active && to == State::Ready && is_idle {
-            running.push((id.clone(), false));
+            self.running.push((id.clone(), false));
         }
         if stands_already.is_none() {
             let component = Component {
@@ -74,47 +105,52 @@ pub fn restore(
                 fault: String::new(),
                 ..old.clone()
             };
-            whole.components.insert(id.clone(), component.clone());
-            plan.changes.push(Change::Create { id: id.clone(), component: Box::new(component) });
+            self.whole.components.insert(id.clone(), component.clone());
+            self.plan.changes.push(Change::Create { id: id.clone(), component: Box::new(component) });
         }
         if to != State::Created && stands_already.is_none_or(|now| *now == State::Created) {
             let config = old.config.clone();
             let (from_state, to_state) = (State::Created, to);
             let change =
                 Change::Configure { id: id.clone(), from: config.clone(), to: config, from_state, to_state };
-            plan.changes.push(change);
+            self.plan.changes.push(change);
         }
-        made.insert(id);
+        self.made.insert(id);
     }
-    whole.components.retain(|id, _| id.process != *process || made.contains(id));
-    let known = |id: &ComponentId| whole.components.contains_key(id);
-    whole.connections.retain(|_, c| known(&c.client.component) && known(&c.server.component));
-    // Its classes may be others by now, with other tags.
-    for (number, why) in forbidden(&whole) {
-        if let Some(connection) = whole.connections.remove(&number) {
-            let id = connection.client.component;
-            let why = format!("{} is not connected again: {why}", connection.client.port);
-            plan.skipped.push(Skipped { id, why });
+
+    /// Makes the connections whose ends are there again and may still be connected.
+    fn connect(&mut self) {
+        let Restored { process, here, plan, whole, made, .. } = self;
+        whole.components.retain(|id, _| id.process != **process || made.contains(id));
+        let known = |id: &ComponentId| whole.components.contains_key(id);
+        whole.connections.retain(|_, c| known(&c.client.component) && known(&c.server.component));
+        // Its classes may be others by now, with other tags.
+        for (number, why) in forbidden(whole) {
+            if let Some(connection) = whole.connections.remove(&number) {
+                let id = connection.client.component;
+                let why = format!("{} is not connected again: {why}", connection.client.port);
+                plan.skipped.push(Skipped { id, why });
+            }
         }
-    }
-    for connection in whole.connections.values().filter(|c| !here.connections.contains(&c.id)) {
-        if [&connection.client, &connection.server].iter().any(|end| end.component.process == *process) {
+        let missing = whole.connections.values().filter(|c| !here.connections.contains(&c.id));
+        for connection in missing.filter(|c| c.ends_in(process)) {
             plan.changes.push(Change::Connect { connection: connection.clone() });
         }
     }
-    for (id, _) in servers_first(&whole, running) {
-        let open = open_ends(&whole, &id, &whole.components[&id]);
-        if open.is_empty() {
-            let (from, to) = (State::Ready, State::Active);
-            plan.changes.push(Change::Run { id, verb: Verb::Start, from, to });
-        } else {
-            plan.skipped.push(Skipped {
-                id,
-                why: format!("it is not started: nothing gives it {}", open.join(", ")),
-            });
+
+    /// Starts what ran, servers first, where everything it needs is connected.
+    fn start(&mut self) {
+        for (id, _) in servers_first(&self.whole, std::mem::take(&mut self.running)) {
+            let open = open_ends(&self.whole, &id, &self.whole.components[&id]);
+            if open.is_empty() {
+                let (from, to) = (State::Ready, State::Active);
+                self.plan.changes.push(Change::Run { id, verb: Verb::Start, from, to });
+            } else {
+                let why = format!("it is not started: nothing gives it {}", open.join(", "));
+                self.plan.skipped.push(Skipped { id, why });
+            }
         }
     }
-    plan
 }
 
 /// Returns the state of a component once it is made again and before anything is started. A new instance of a
