@@ -168,55 +168,24 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
     if members(class) > MAX_MEMBERS {
         return Err(format!("{} ports and members are more than {MAX_MEMBERS}", members(class)));
     }
-    let mut seen = BTreeSet::new();
-    let mut unique = |kind: &str, n: &str| {
-        name(n)?;
-        if n == system::INTERFACE {
-            return Err(format!("{kind} may not be named {n}: every component has that interface already"));
-        }
-        if model::TAPS.contains(&n) {
-            return Err(format!("{kind} may not be named {n}: every component has that output already"));
-        }
-        if seen.insert(n.to_owned()) {
-            Ok(())
-        } else {
-            Err(format!("{kind} {n} has the name of another port of this class"))
-        }
-    };
+    let mut names = PortNames::default();
     let mut ports = model::Ports::default();
     for input in &class.inputs {
-        unique("input", &input.name)?;
-        ports.inputs.push(model::Input {
-            name: input.name.clone(),
-            doc: input.doc.clone(),
-            ty: types
-                .port(&input.ty)
-                .and_then(|ty| frames::port(ty, &input.frame))
-                .map_err(|e| format!("input {}: {e}", input.name))?,
-            tag: tag(&input.tag, &[model::Tag::None, model::Tag::Sim])
-                .map_err(|e| format!("input {}: {e}", input.name))?,
-            optional: input.optional,
-            fifo: depth(input.fifo).map_err(|e| format!("input {}: {e}", input.name))?,
-        });
+        names.take("input", &input.name)?;
+        let here = |e| format!("input {}: {e}", input.name);
+        ports.inputs.push(self::input(input, types).map_err(here)?);
     }
     for output in &class.outputs {
-        unique("output", &output.name)?;
-        ports.outputs.push(model::Output {
-            name: output.name.clone(),
-            doc: output.doc.clone(),
-            ty: types
-                .port(&output.ty)
-                .and_then(|ty| frames::port(ty, &output.frame))
-                .map_err(|e| format!("output {}: {e}", output.name))?,
-            tag: tag(&output.tag, &model::Tag::ALL).map_err(|e| format!("output {}: {e}", output.name))?,
-        });
+        names.take("output", &output.name)?;
+        let here = |e| format!("output {}: {e}", output.name);
+        ports.outputs.push(self::output(output, types).map_err(here)?);
     }
     for required in &class.required {
-        unique("required interface", &required.name)?;
+        names.take("required interface", &required.name)?;
         ports.required.push(self::required(required, types)?);
     }
     for provided in &class.provided {
-        unique("provided interface", &provided.name)?;
+        names.take("provided interface", &provided.name)?;
         ports.provided.push(self::provided(provided, types)?);
     }
     if let Some(state) = &class.state {
@@ -225,6 +194,48 @@ fn ports(class: &wire::Class, types: &mut Types) -> Result<model::Ports, String>
     ports.provided.push(system::interface());
     taps::append(&mut ports);
     Ok(ports)
+}
+
+/// Names of the ports of one class so far.
+#[derive(Default)]
+struct PortNames(BTreeSet<String>);
+
+impl PortNames {
+    /// Takes the name for one more port.
+    fn take(&mut self, kind: &str, n: &str) -> Result<(), String> {
+        name(n)?;
+        if n == system::INTERFACE {
+            return Err(format!("{kind} may not be named {n}: every component has that interface already"));
+        }
+        if model::TAPS.contains(&n) {
+            return Err(format!("{kind} may not be named {n}: every component has that output already"));
+        }
+        if self.0.insert(n.to_owned()) {
+            Ok(())
+        } else {
+            Err(format!("{kind} {n} has the name of another port of this class"))
+        }
+    }
+}
+
+fn input(input: &wire::Input, types: &mut Types) -> Result<model::Input, String> {
+    Ok(model::Input {
+        name: input.name.clone(),
+        doc: input.doc.clone(),
+        ty: frames::port(types.port(&input.ty)?, &input.frame)?,
+        tag: tag(&input.tag, &[model::Tag::None, model::Tag::Sim])?,
+        optional: input.optional,
+        fifo: depth(input.fifo)?,
+    })
+}
+
+fn output(output: &wire::Output, types: &mut Types) -> Result<model::Output, String> {
+    Ok(model::Output {
+        name: output.name.clone(),
+        doc: output.doc.clone(),
+        ty: frames::port(types.port(&output.ty)?, &output.frame)?,
+        tag: tag(&output.tag, &model::Tag::ALL)?,
+    })
 }
 
 /// Returns the tag of that name, one of `allowed`; a typing error must not leave a port without one.

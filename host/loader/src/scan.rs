@@ -33,7 +33,7 @@ struct Seen {
     /// Files that were looked for in its directory when it was read, and found.
     beside: Beside,
     since: Instant,
-    outcome: Option<Result<Arc<ListedPlugin>, Fault>>,
+    outcome: Option<Outcome>,
     /// The outcome belongs to this signature.
     current: bool,
 }
@@ -130,56 +130,76 @@ impl Scanner {
             return Look::Gone;
         };
         let signature = Signature::of(&meta);
-        let seen = self.seen.entry(file.to_path_buf()).or_insert_with(|| Seen {
-            signature,
-            beside: Vec::new(),
-            since: Instant::now(),
-            outcome: None,
-            current: false,
-        });
-        let beside: Beside =
-            seen.beside.iter().map(|(file, _)| (file.clone(), Signature::at(file))).collect();
-        if seen.signature != signature || seen.beside != beside {
-            let outcome = seen.outcome.take();
-            *seen = Seen { signature, beside, since: Instant::now(), current: false, outcome };
-        }
-        // The thing it was refused for may be there now, without a change of the file.
-        let is_mended = match &seen.outcome {
-            Some(Err(fault)) => {
-                matches!(fault.root(), Fault::MissingLibrary { name } if libraries::is_available(name))
-            }
-            _ => false,
-        };
-        if let (true, false, Some(outcome)) = (seen.current, is_mended, &seen.outcome) {
+        let seen = self.seen.entry(file.to_path_buf()).or_insert_with(|| Seen::new(signature));
+        seen.compare(signature);
+        if let Some(outcome) = seen.known() {
             return Look::Outcome(outcome.clone());
         }
-        let is_settled = |file: &Path, signature: &Signature| {
-            let settle = settle(file);
-            age(signature) >= settle || seen.since.elapsed() >= settle
-        };
-        let mut others = seen.beside.iter().filter_map(|(file, signature)| Some((file, signature.as_ref()?)));
-        if meta.is_file()
-            && !(is_settled(file, &signature) && others.all(|(file, signature)| is_settled(file, signature)))
-        {
+        if meta.is_file() && !seen.is_settled(file, settle) {
             return Look::Unsettled(seen.outcome.clone());
         }
+        seen.read(read)
+    }
+}
+
+impl Seen {
+    fn new(signature: Signature) -> Seen {
+        Seen { signature, beside: Vec::new(), since: Instant::now(), outcome: None, current: false }
+    }
+
+    /// Compares the file and those beside it with what is known of them; after a change the outcome is an
+    /// earlier one.
+    fn compare(&mut self, signature: Signature) {
+        let beside: Beside =
+            self.beside.iter().map(|(file, _)| (file.clone(), Signature::at(file))).collect();
+        if self.signature != signature || self.beside != beside {
+            let outcome = self.outcome.take();
+            *self = Seen { beside, outcome, ..Seen::new(signature) };
+        }
+    }
+
+    /// Returns the outcome, where it still holds.
+    fn known(&self) -> Option<&Outcome> {
+        let outcome = self.outcome.as_ref().filter(|_| self.current)?;
+        // The thing it was refused for may be there now, without a change of the file.
+        let is_mended = match outcome {
+            Err(fault) => {
+                matches!(fault.root(), Fault::MissingLibrary { name } if libraries::is_available(name))
+            }
+            Ok(_) => false,
+        };
+        (!is_mended).then_some(outcome)
+    }
+
+    /// Tells whether neither the file nor one beside it is still being written.
+    fn is_settled(&self, file: &Path, settle: impl Fn(&Path) -> Duration) -> bool {
+        let is_settled = |file: &Path, signature: &Signature| {
+            let settle = settle(file);
+            age(signature) >= settle || self.since.elapsed() >= settle
+        };
+        let mut others = self.beside.iter().filter_map(|(file, signature)| Some((file, signature.as_ref()?)));
+        is_settled(file, &self.signature) && others.all(|(file, signature)| is_settled(file, signature))
+    }
+
+    /// Reads the file and keeps the outcome: the former one where nothing of the plugin changed.
+    fn read(&mut self, read: impl FnOnce(&mut Beside) -> Outcome) -> Look {
         let mut beside = Vec::new();
         let mut outcome = read(&mut beside);
         if let Err(fault) = &outcome
             && matches!(fault.root(), Fault::ChangedWhileRead | Fault::Shortage { .. })
         {
-            seen.since = Instant::now();
-            return Look::Unsettled(seen.outcome.clone());
+            self.since = Instant::now();
+            return Look::Unsettled(self.outcome.clone());
         }
-        seen.beside = beside;
-        if let (Ok(new), Some(Ok(old))) = (&outcome, &seen.outcome)
+        self.beside = beside;
+        if let (Ok(new), Some(Ok(old))) = (&outcome, &self.outcome)
             && new.hash == old.hash
             && new.warnings == old.warnings
         {
             outcome = Ok(old.clone());
         }
-        seen.outcome = Some(outcome.clone());
-        seen.current = true;
+        self.outcome = Some(outcome.clone());
+        self.current = true;
         Look::Outcome(outcome)
     }
 }

@@ -59,31 +59,41 @@ pub(super) unsafe fn check_table(
     for (i, class) in manifest.classes.iter().enumerate() {
         // SAFETY: the array has `count` pointers.
         let table = unsafe { classes.add(i).read() };
-        if table.is_null() || !table.is_aligned() {
-            return Err(format!("the table of class `{}` is missing", class.name));
-        }
-        // SAFETY: every table begins with its size.
-        let size = unsafe { (&raw const (*table).struct_size).read() };
-        if !has_entry(size, offset_of!(ClassTable, create), size_of::<usize>()) {
-            let needs = offset_of!(ClassTable, create) + size_of::<usize>();
-            return Err(format!(
-                "the table of class `{}` says it has {size} bytes, and needs {needs}",
-                class.name
-            ));
-        }
-        // SAFETY: `name` lies inside the table.
-        let name = unsafe { text((&raw const (*table).name).read())? };
-        same("class", &class.name, name)?;
-        size_fits(&format!("the table of class `{}`", class.name), size, size_of::<ClassTable>(), abi)?;
-        // SAFETY: its first `size` bytes were written by the plugin, and the size makes sense for its
-        // version.
-        let whole = unsafe { copy(table) };
-        if let Some((entry, because)) = missing(&whole, class) {
-            return Err(format!("class `{}` has {because}, but its entry `{entry}` is null", class.name));
-        }
+        // SAFETY: it is what the entry returned for this class.
+        unsafe { check_class(table, class, abi)? };
         tables.push(table);
     }
     Ok(tables)
+}
+
+/// Compares the table of one class with the manifest; `abi` is the entry's, major and minor.
+///
+/// # Safety
+/// `table` is null or what a plugin's entry returned for a class.
+unsafe fn check_class(table: *const ClassTable, class: &Class, abi: [u32; 2]) -> Result<(), String> {
+    if table.is_null() || !table.is_aligned() {
+        return Err(format!("the table of class `{}` is missing", class.name));
+    }
+    // SAFETY: every table begins with its size.
+    let size = unsafe { (&raw const (*table).struct_size).read() };
+    if !has_entry(size, offset_of!(ClassTable, create), size_of::<usize>()) {
+        let needs = offset_of!(ClassTable, create) + size_of::<usize>();
+        return Err(format!(
+            "the table of class `{}` says it has {size} bytes, and needs {needs}",
+            class.name
+        ));
+    }
+    // SAFETY: `name` lies inside the table.
+    let name = unsafe { text((&raw const (*table).name).read())? };
+    same("class", &class.name, name)?;
+    size_fits(&format!("the table of class `{}`", class.name), size, size_of::<ClassTable>(), abi)?;
+    // SAFETY: its first `size` bytes were written by the plugin, and the size makes sense for its
+    // version.
+    let whole = unsafe { copy(table) };
+    if let Some((entry, because)) = missing(&whole, class) {
+        return Err(format!("class `{}` has {because}, but its entry `{entry}` is null", class.name));
+    }
+    Ok(())
 }
 
 /// Checks that a table of this host's version, or of an earlier one, is not larger than this host knows it.
