@@ -15,7 +15,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::card::Card;
-use crate::steps::plain;
+use crate::plain::plain;
 
 /// Version of this conversation.
 pub(crate) const VERSION: u32 = 1;

@@ -13,8 +13,10 @@ mod door;
 mod greeting;
 mod links;
 mod live;
+mod plain;
 mod serve;
 mod session;
+mod socket;
 mod steps;
 #[cfg(test)]
 mod tests;
@@ -28,4 +30,5 @@ pub use address::is_gone;
 pub use card::{Card, LAYOUT, Unreachable};
 pub use door::Seldom;
 pub use links::{Handler, Links};
-pub use session::{Lost, MOST_BYTES, MOST_FDS, Message, Peer, SendError, Session};
+pub use session::{Lost, Message, Peer, SendError, Session};
+pub use socket::{MOST_BYTES, MOST_FDS};

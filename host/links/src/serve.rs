@@ -22,7 +22,8 @@ use crate::door::{MOST_GREETINGS, MOST_GUESTS, MOST_OF_ONE, Seldom};
 use crate::greeting::{Greeting, Said, VERSION, parse};
 use crate::links::{Ask, Failed, Handler, Shared};
 use crate::live::{BEAT_NS, Heart, kernel_says};
-use crate::session::{self, Heard, Lost, Peer, Session, receive, send};
+use crate::session::{Lost, Peer, Session};
+use crate::socket::{Heard, MOST_BYTES, receive, room, send};
 use crate::steps::{By, Refusal, Stage, Step, refuse, step};
 use crate::watch::Watch;
 
@@ -115,7 +116,7 @@ impl<H: Handler> Server<H> {
             handler,
             ends: Vec::new(),
             wants: BTreeMap::new(),
-            room: session::room(),
+            room: room(),
             sessions: 0,
             beat_ns: now_ns(),
             turned_away: Seldom::default(),
@@ -363,7 +364,7 @@ impl<H: Handler> Server<H> {
                 Heard::Nothing => return,
                 Heard::End => return self.close(at, Lost::Closed, now),
                 Heard::TooLong => {
-                    let what = format!("a message of more than {} bytes", session::MOST_BYTES);
+                    let what = format!("a message of more than {} bytes", MOST_BYTES);
                     return self.close(at, Lost::Nonsense { what }, now);
                 }
                 Heard::Message(bytes, files) => {

@@ -10,7 +10,8 @@ use trocar_rt::pulse::Pulse;
 
 use crate::card::{Card, random};
 use crate::greeting::{Greeting, VERSION};
-use crate::session::send;
+use crate::plain::plain;
+use crate::socket::send;
 
 /// Stage of a greeting. The dialling side knows the address.
 pub(crate) enum Stage {
@@ -127,19 +128,6 @@ pub(crate) fn step(
 pub(crate) fn refuse(socket: &OwnedFd, why: String) {
     // The peer may not listen; then it is not told.
     let _ = send(socket.as_fd(), &[&Greeting::Refused { why }.encode()], &[]);
-}
-
-/// Most characters of a sentence another process says.
-const SENTENCE: usize = 300;
-
-/// Makes a sentence of another process fit for a log or a person: one line of bounded length.
-pub(crate) fn plain(said: &str) -> String {
-    let line = said.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
-    let mut text: String = line.take(SENTENCE).collect();
-    if said.chars().nth(SENTENCE).is_some() {
-        text.push('…');
-    }
-    text
 }
 
 fn words(bytes: [u8; 16]) -> [u64; 2] {

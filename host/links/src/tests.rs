@@ -15,7 +15,7 @@ use trocar_rt::pulse::Pulse;
 
 use crate::card::Card;
 use crate::greeting::{Greeting, Said, VERSION, parse};
-use crate::session::{Heard, receive, room, send};
+use crate::socket::{Heard, receive, room, send};
 use crate::watchdog::Watchdog;
 use crate::{Handler, LAYOUT, Links, Lost, MOST_BYTES, MOST_FDS, Message, SendError, Session, address};
 
