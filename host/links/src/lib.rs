@@ -8,9 +8,11 @@
 #![forbid(unsafe_code)]
 
 mod address;
+mod asked;
 mod card;
 mod door;
 mod greeting;
+mod handler;
 mod links;
 mod live;
 mod plain;
@@ -29,6 +31,7 @@ mod watchdog;
 pub use address::is_gone;
 pub use card::{Card, LAYOUT, Unreachable};
 pub use door::Seldom;
-pub use links::{Handler, Links};
+pub use handler::Handler;
+pub use links::Links;
 pub use session::{Lost, Message, Peer, SendError, Session};
 pub use socket::{MOST_BYTES, MOST_FDS};

@@ -1,83 +1,20 @@
-//! The handle on all sessions of this process, and the trait that hears of them.
+//! The handle on all sessions of this process.
 //!
 //! Invariant: the sessions belong to one thread, `trocar-links`; all other threads ask it.
 
-use std::collections::BTreeMap;
 use std::io;
-use std::os::fd::OwnedFd;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use rustix::event::EventfdFlags;
 use trocar_rt::house;
 
 use crate::address;
+use crate::asked::{Ask, Shared};
 use crate::card::Card;
+use crate::handler::Handler;
 use crate::serve::Server;
-use crate::session::{Lost, Message, Session};
-
-/// Told on the thread of the sessions: a handler that waits makes other processes believe that this one is
-/// dead.
-pub trait Handler: Send + 'static {
-    /// The two processes made sure of each other.
-    fn met(&mut self, session: &Arc<Session>);
-    /// The process sent a message.
-    fn said(&mut self, session: &Arc<Session>, message: Message);
-    /// The process is gone. Nothing comes of this session any more.
-    fn lost(&mut self, session: &Arc<Session>, why: &Lost);
-}
-
-/// Questions to the thread of the sessions, and its answers.
-pub(crate) struct Shared {
-    asked: Mutex<Vec<Ask>>,
-    /// Rung for every question.
-    pub(crate) bell: OwnedFd,
-    known: Mutex<Known>,
-}
-
-#[derive(Default)]
-pub(crate) struct Known {
-    /// Sessions this process asked for, by the socket of the other process.
-    pub(crate) dialled: BTreeMap<PathBuf, Arc<Session>>,
-    /// Reasons why there is no session.
-    pub(crate) failed: BTreeMap<PathBuf, Failed>,
-}
-
-pub(crate) struct Failed {
-    pub(crate) why: String,
-    /// One of the two said no; else there was no answer.
-    pub(crate) refused: bool,
-}
-
-pub(crate) enum Ask {
-    Want(PathBuf),
-    Unwant(PathBuf),
-    /// The session of this number is with a process that died.
-    Died(u64),
-    Stop,
-}
-
-impl Shared {
-    pub(crate) fn new() -> io::Result<Shared> {
-        let bell = rustix::event::eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?;
-        Ok(Shared { asked: Mutex::default(), bell, known: Mutex::default() })
-    }
-
-    pub(crate) fn take(&self) -> Vec<Ask> {
-        std::mem::take(&mut *self.asked.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    pub(crate) fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    pub(crate) fn ask(&self, ask: Ask) {
-        self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(ask);
-        // A counter that is full wakes as well.
-        let _ = rustix::io::write(&self.bell, &1u64.to_ne_bytes());
-    }
-}
+use crate::session::Session;
 
 /// All sessions of this process.
 pub struct Links {

@@ -17,10 +17,11 @@ use trocar_rt::pulse::{Life, Pulse};
 use trocar_rt::will::Will;
 
 use crate::address;
+use crate::asked::{Ask, Failed, Shared};
 use crate::card::Card;
 use crate::door::{MOST_GREETINGS, MOST_GUESTS, MOST_OF_ONE, Seldom};
 use crate::greeting::{Greeting, Said, VERSION, parse};
-use crate::links::{Ask, Failed, Handler, Shared};
+use crate::handler::Handler;
 use crate::live::{BEAT_NS, Heart, kernel_says};
 use crate::session::{Lost, Peer, Session};
 use crate::socket::{Heard, MOST_BYTES, receive, room, send};

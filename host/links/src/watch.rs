@@ -12,7 +12,7 @@ use trocar_rt::house;
 use trocar_rt::os::{MOST_WORDS, Scope, futex_wait_each, futex_wake};
 use trocar_rt::pulse::Life;
 
-use crate::links::{Ask, Shared};
+use crate::asked::{Ask, Shared};
 use crate::session::Session;
 
 /// Wakes for nothing by one process until its word is watched no more.

@@ -11,7 +11,7 @@ use trocar_rt::pulse::Life;
 use trocar_rt::will::Will;
 
 use super::*;
-use crate::links::{Ask, Shared};
+use crate::asked::{Ask, Shared};
 use crate::session::Peer;
 use crate::watch::Watch;
 
