@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 pub mod abi;
+mod const_text;
 #[cfg(feature = "manifest")]
 pub mod contracts;
 pub mod desc;

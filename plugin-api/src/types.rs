@@ -3,10 +3,10 @@
 //!
 //! Invariant: two different types never share a name; the build of a plugin that tries fails.
 
+use crate::const_text::{Sentence, same_text};
 use crate::desc::{
     ClassDesc, InputDesc, OutputDesc, PortType, ProvidedDesc, RequiredDesc, TypeDesc, TypeKind,
 };
-use crate::limits::Sentence;
 
 /// Most distinct structs and enums one plugin may name.
 const MAX_TYPES: usize = 256;
@@ -14,21 +14,6 @@ const MAX_TYPES: usize = 256;
 pub(crate) struct Types {
     pub(crate) seen: [Option<&'static TypeDesc>; MAX_TYPES],
     pub(crate) len: usize,
-}
-
-pub(crate) const fn same_text(a: &str, b: &str) -> bool {
-    let (a, b) = (a.as_bytes(), b.as_bytes());
-    if a.len() != b.len() {
-        return false;
-    }
-    let mut i = 0;
-    while i < a.len() {
-        if a[i] != b[i] {
-            return false;
-        }
-        i += 1;
-    }
-    true
 }
 
 const fn named(ty: &TypeDesc) -> Option<&'static str> {
