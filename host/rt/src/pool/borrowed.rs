@@ -9,9 +9,9 @@
 use std::sync::Arc;
 
 use super::file::PoolFile;
+use super::views::FarViews;
 use crate::buf::{ALIGN, AlignedBuf, copy, round_up};
 use crate::region::Table;
-use crate::stream::FarViews;
 use crate::sync::{AtomicU32, AtomicU64, Ordering};
 
 pub(super) struct Borrowed {

@@ -7,17 +7,20 @@ mod borrowed;
 mod file;
 mod frame;
 mod slots;
+mod views;
 
 use std::io;
 use std::sync::Arc;
 
 pub use file::{PoolFile, PoolShape};
 pub use frame::{Frame, FrameMut};
+pub use slots::PoolStats;
+pub use views::FarViews;
+pub(crate) use views::MOST_VIEWS;
 
 pub use crate::mapping::room_for;
 use crate::os::OsError;
 use crate::region::Table;
-use crate::stream::FarViews;
 use crate::sync::AtomicU64;
 use borrowed::Borrowed;
 use slots::Slots;
@@ -33,18 +36,6 @@ enum Store {
     Own(Arc<PoolFile>),
     /// In pools of another process; a slot is a lease.
     Borrowed(Borrowed),
-}
-
-/// Counters of a pool, in slots and refused loans.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PoolStats {
-    pub slots: u32,
-    /// Slots that can be lent now.
-    pub free: u32,
-    /// The most slots that were ever lent at once.
-    pub high_water: u32,
-    /// Loans refused because every slot was lent.
-    pub exhausted: u64,
 }
 
 impl FramePool {

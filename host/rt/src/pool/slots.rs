@@ -4,8 +4,19 @@
 //! loan. Taking and giving back are wait-free: a look at each bit at most, and no word that could return to
 //! an old value.
 
-use super::PoolStats;
 use crate::sync::{AtomicU32, AtomicU64, Ordering};
+
+/// Counters of a pool, in slots and refused loans.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PoolStats {
+    pub slots: u32,
+    /// Slots that can be lent now.
+    pub free: u32,
+    /// The most slots that were ever lent at once.
+    pub high_water: u32,
+    /// Loans refused because every slot was lent.
+    pub exhausted: u64,
+}
 
 pub(super) struct Slots {
     free: Box<[AtomicU64]>,

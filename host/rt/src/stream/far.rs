@@ -9,7 +9,7 @@ use std::sync::{Arc, OnceLock};
 use super::leases::{LEASES, Leases, returned};
 use super::slots::{Content, Located};
 use crate::buf::AlignedBuf;
-use crate::pool::{Frame, FramePool, PoolFile};
+use crate::pool::{FarViews, Frame, FramePool, MOST_VIEWS};
 use crate::region::Layout;
 use crate::sync::{AtomicBool, AtomicU64, Ordering};
 use crate::wake::Waker;
@@ -19,7 +19,7 @@ use crate::wake::Waker;
 /// none back stops only itself.
 const ALWAYS: u64 = 3;
 /// Pools whose frames one link can carry in its life.
-pub const POOLS_PER_LINK: usize = 16;
+pub const POOLS_PER_LINK: usize = MOST_VIEWS;
 
 /// The pools whose frames this link carries, by their place on it. The writer gives a pool its place with its
 /// first frame; a manager tells the other end, which leaves the frame where it is until then.
@@ -210,39 +210,5 @@ impl PrivateCopy {
     pub(super) fn data(&self) -> &[u8] {
         // SAFETY: `bytes` of the block are initialised, and written only through `&mut self`.
         unsafe { std::slice::from_raw_parts(self.copy.at(0), self.bytes) }
-    }
-}
-
-/// The pools of another process, as the reader finds frames in them. A manager makes the entries; none is
-/// ever changed.
-pub struct FarViews {
-    header_bytes: usize,
-    views: [std::sync::OnceLock<Arc<PoolFile>>; POOLS_PER_LINK],
-}
-
-impl FarViews {
-    /// For frames with headers of this length.
-    pub fn new(header_bytes: usize) -> Arc<Self> {
-        Arc::new(Self { header_bytes, views: Default::default() })
-    }
-
-    /// Adds the other end's pool of this place. Returns false for a place that is taken or does not exist,
-    /// and for headers of another length.
-    pub fn know(&self, place: usize, file: Arc<PoolFile>) -> bool {
-        let fits = file.header_bytes() == self.header_bytes;
-        fits && self.views.get(place).is_some_and(|view| view.set(file).is_ok())
-    }
-
-    /// Tells whether the other end has not told of a pool of this place yet.
-    fn is_awaited(&self, place: u32) -> bool {
-        self.views.get(place as usize).is_some_and(|view| view.get().is_none())
-    }
-
-    pub(crate) fn get(&self, place: u32) -> Option<&Arc<PoolFile>> {
-        self.views.get(place as usize)?.get()
-    }
-
-    pub(crate) fn header_bytes(&self) -> usize {
-        self.header_bytes
     }
 }

@@ -15,9 +15,11 @@ mod writer;
 
 use std::sync::Arc;
 
-pub use far::{FarPools, FarViews, POOLS_PER_LINK};
+pub use far::{FarPools, POOLS_PER_LINK};
 pub use reader::{Sample, StreamReader};
 pub use writer::{Pushed, StreamWriter};
+
+pub use crate::pool::FarViews;
 
 use crate::region::{Layout, Place, Plain, told};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded};
