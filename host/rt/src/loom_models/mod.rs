@@ -11,6 +11,7 @@ mod mailbox;
 mod pool;
 mod stream;
 mod team;
+mod turn;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
