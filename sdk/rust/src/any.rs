@@ -6,10 +6,11 @@
 
 use crate::aligned;
 use crate::dynamic::{AnyCommand, AnyType, Place, scan};
+use crate::flow::{Flow, PortKind};
 use crate::function::{FunctionPort, waiting};
 use crate::lease::{Lease, Tie};
 use crate::outcome::{CallError, Outcome};
-use crate::ports::{Flow, In, Out, PortKind};
+use crate::ports::{In, Out};
 use crate::stubs;
 use crate::values::Stamp;
 use core::ffi::c_void;

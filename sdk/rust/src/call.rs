@@ -3,13 +3,12 @@
 //! Invariant: the types a description names and the types a dispatch uses come from the same tokens of the
 //! same method.
 
-use crate::component::Class;
 use crate::guard;
 use crate::payload::Payload;
 use core::ffi::c_void;
 use core::fmt::Display;
 use trocar_plugin_api::abi::{self, ErrBuf, Status};
-use trocar_plugin_api::desc::{CommandDesc, CommandKind, HandlerDesc, TypeDesc};
+use trocar_plugin_api::desc::{CommandKind, TypeDesc};
 
 /// A payload or `()`: the argument or result of a command.
 ///
@@ -160,79 +159,3 @@ impl Call {
         )
     }
 }
-
-/// True when a read is among the commands of an interface.
-pub const fn has_reads(commands: &[CommandDesc]) -> bool {
-    let mut i = 0;
-    while i < commands.len() {
-        if matches!(commands[i].kind, CommandKind::Read | CommandKind::QualifiedRead) {
-            return true;
-        }
-        i += 1;
-    }
-    false
-}
-
-/// Content of `#[provides]` for one interface of class `C`.
-pub struct ProvidedPart<C: Class> {
-    pub doc: &'static str,
-    pub tag: &'static str,
-    pub commands: &'static [CommandDesc],
-    /// Id within the interface; which of the repeated interfaces, 0 for a fixed one.
-    pub command: fn(&mut C, u32, usize, &mut Call) -> Status,
-    pub read: fn(&C::State, u32, usize, &mut Call) -> Status,
-}
-
-impl<C: Class> ProvidedPart<C> {
-    /// An interface with events only.
-    pub const EMPTY: ProvidedPart<C> = ProvidedPart {
-        doc: "",
-        tag: "",
-        commands: &[],
-        command: |_, id, _, call| call.unknown(id),
-        read: |_, id, _, call| call.unknown(id),
-    };
-}
-
-/// Content of `#[handles]` for one required interface of class `C`.
-pub struct HandlesPart<C: Class> {
-    pub doc: &'static str,
-    pub handlers: &'static [HandlerDesc],
-    pub on_event: fn(&mut C, u32, usize, &mut Call) -> Status,
-}
-
-impl<C: Class> HandlesPart<C> {
-    /// An interface with functions only.
-    pub const EMPTY: HandlesPart<C> =
-        HandlesPart { doc: "", handlers: &[], on_event: |_, id, _, call| call.unknown(id) };
-}
-
-/// Holds for each provided interface a class declares; `KEY` is the hash of its name.
-///
-/// A misspelt interface does not compile:
-/// ```compile_fail
-/// use trocar_sdk::prelude::*;
-/// #[derive(Component)]
-/// #[component(provides("ctl"))]
-/// struct Lamp {}
-/// #[provides("ctrl")]
-/// impl Lamp {
-///     #[command]
-///     fn on(&mut self) {}
-/// }
-/// impl Component for Lamp {}
-/// ```
-#[diagnostic::on_unimplemented(
-    message = "`{Self}` declares no provided interface of this name",
-    label = "not a provided interface of `{Self}`",
-    note = "declare it on the struct: `#[component(provides(\"name\"))]`, or by an event field: `#[event(\"name\")]`"
-)]
-pub trait DeclaresProvided<const KEY: u64> {}
-
-/// Holds for each required interface a class declares; `KEY` is the hash of its name.
-#[diagnostic::on_unimplemented(
-    message = "`{Self}` declares no required interface of this name",
-    label = "not a required interface of `{Self}`",
-    note = "declare it on the struct: `#[component(requires(\"name\"))]`, or by a function field: `#[required(interface = \"name\")]`"
-)]
-pub trait DeclaresRequired<const KEY: u64> {}

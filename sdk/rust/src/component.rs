@@ -1,26 +1,12 @@
-//! Methods that a component's author implements, and the additions of the derive.
+//! Methods that a component's author implements, and what a step is told of its cycle.
 //!
 //! Invariant: the host enters one instance from one thread at a time, so methods take `&mut self` and need no
 //! locks.
 
-use crate::call::Call;
-use crate::config::JsonObject;
-use crate::describe::Lists;
-use crate::host::Host;
-use crate::lease::Layout;
-use crate::payload::Payload;
-use crate::ports::Binder;
-use crate::safe::MakeSafe;
+use crate::error::Result;
 use crate::services::ServiceReply;
 use crate::values::Stamp;
-use std::sync::Arc;
-use trocar_plugin_api::abi::{self, Status};
-use trocar_plugin_api::desc::ClassDesc;
-
-/// Any error, made with `?` or from text: `Err("no light".into())`.
-pub type Error = Box<dyn std::error::Error + Send + Sync>;
-/// The result of every entry. An error from `step`, `start` or `configure` puts the component in FAULT.
-pub type Result<T = (), E = Error> = std::result::Result<T, E>;
+use trocar_plugin_api::abi;
 
 /// The entries of a component; override what you need.
 pub trait Component {
@@ -52,10 +38,11 @@ pub trait Component {
         Ok(())
     }
     /// Lists of names set before are in force now, in [`crate::Many`] and [`crate::Names`]: size here what
-    /// belongs to them. Called after `configure` or [`Host::ports_changed`], between two steps, when a list
+    /// belongs to them. Called after `configure` or [`Host::ports_changed`](crate::Host::ports_changed), between two steps, when a list
     /// has changed.
     fn ports_changed(&mut self) {}
-    /// The answer to a service asked for with [`Host::services`] or [`Host::service`].
+    /// The answer to a service asked for with [`Host::services`](crate::Host::services) or
+    /// [`Host::service`](crate::Host::service).
     fn answered(&mut self, reply: ServiceReply) -> Result {
         let _ = reply;
         Ok(())
@@ -73,51 +60,6 @@ pub trait Component {
     fn restore(&mut self, snapshot: &[u8]) -> Result {
         let _ = snapshot;
         Ok(())
-    }
-}
-
-/// A component class: made by `#[derive(Component)]`, not by hand.
-///
-/// # Safety
-/// `DESC` names, id by id and slot by slot, the types that the methods use.
-#[diagnostic::on_unimplemented(
-    message = "`{Self}` is no component class",
-    note = "put `#[derive(Component)]` on the struct"
-)]
-pub unsafe trait Class: Component + Send + Sized + 'static {
-    const DESC: &'static ClassDesc;
-    /// One row of the state table: the `#[state]` fields.
-    type State: Payload;
-
-    /// The rendered description, empty for a class whose ports are all fixed.
-    #[doc(hidden)]
-    const DESCRIPTION: &'static str = "";
-
-    #[doc(hidden)]
-    fn create(host: Host) -> Self;
-    /// Returns the handle of a class with `safe_from_any_thread`.
-    #[doc(hidden)]
-    fn safe_handle(&self) -> Option<Arc<dyn MakeSafe>> {
-        None
-    }
-    #[doc(hidden)]
-    fn apply(&mut self, object: &JsonObject) -> Result;
-    #[doc(hidden)]
-    fn bind(&mut self, binder: &Binder<'_>);
-    #[doc(hidden)]
-    fn state(&self) -> Self::State;
-    #[doc(hidden)]
-    fn set_state(&mut self, row: &Self::State);
-    #[doc(hidden)]
-    fn command(&mut self, id: u32, lists: &Layout, call: &mut Call) -> Status;
-    #[doc(hidden)]
-    fn read(row: &Self::State, id: u32, call: &mut Call) -> Status;
-    #[doc(hidden)]
-    fn on_event(&mut self, id: u32, lists: &Layout, call: &mut Call) -> Status;
-    /// Returns the lists of names behind the repeated parts.
-    #[doc(hidden)]
-    fn lists(&self) -> Lists<'_> {
-        Lists { inputs: Vec::new(), outputs: Vec::new(), required: Vec::new(), provided: Vec::new() }
     }
 }
 

@@ -4,7 +4,7 @@
 //! Invariant: a value outside its limits is refused with its unit ("cutoff_hz: 1000 Hz is above 400 Hz"),
 //! never clamped.
 
-use crate::component::Result;
+use crate::error::Result;
 use serde_json::{Map, Value};
 use trocar_plugin_api::desc::ConfigFieldDesc;
 

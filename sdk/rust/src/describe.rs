@@ -4,18 +4,11 @@
 //! fields and, within, of the names; provided interfaces that share a list go name by name. `Binder` and the
 //! generated dispatch count the same way.
 
-use crate::component::{Class, Result};
+use crate::class::Class;
 use crate::dynamic::AnyType;
-use crate::many::Names;
+use crate::error::Result;
+use crate::names::Names;
 use serde_json::{Value as Json, json};
-
-/// The lists of a class, one per repeated port or interface of its description.
-pub struct Lists<'a> {
-    pub inputs: Vec<&'a Names>,
-    pub outputs: Vec<&'a Names>,
-    pub required: Vec<&'a Names>,
-    pub provided: Vec<&'a Names>,
-}
 
 /// The description as JSON.
 ///

@@ -10,7 +10,7 @@ pub(crate) mod scan;
 
 pub use parts::{AnyField, AnyPart, AnyShape};
 
-use crate::component::Result;
+use crate::error::Result;
 use serde_json::Value as Json;
 use trocar_plugin_api::desc::Prim;
 

@@ -4,10 +4,11 @@
 //! Invariant: a view borrows its input and a loan its output, so neither outlives the next request to the
 //! host.
 
+use crate::flow::{Flow, PortKind};
 use crate::lease::Tie;
 use crate::outcome::{NoFrame, Outcome};
 use crate::payload::Payload;
-use crate::ports::{Flow, In, Out, PortKind};
+use crate::ports::{In, Out};
 use crate::values::Stamp;
 use core::marker::PhantomData;
 use trocar_plugin_api::abi::{InSlot, Loan, OutSlot, SAMPLE_FRESH, SAMPLE_STALE, SampleView};

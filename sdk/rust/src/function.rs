@@ -3,9 +3,9 @@
 //! Invariant: nothing here waits without a deadline; `send` and `emit` never wait at all.
 
 use crate::call::Value;
+use crate::flow::{Flow, PortKind};
 use crate::lease::{Lease, Tie};
 use crate::outcome::{CallError, Outcome};
-use crate::ports::{Flow, PortKind};
 use crate::stubs;
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;

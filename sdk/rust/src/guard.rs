@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing unwinds out of this crate's `extern "C"` functions; the happy path allocates nothing.
 
-use crate::component::{Error, Result};
+use crate::error::{Error, Result};
 use crate::outcome::NoFrame;
 use core::fmt::{self, Display, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};

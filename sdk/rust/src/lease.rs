@@ -5,9 +5,7 @@
 //! returns, everything that an existing handle points to is kept (`trocar.keep/1`), so no handle ever points
 //! to nothing.
 
-use crate::describe::Lists;
 use crate::host::Host;
-use crate::many::Names;
 use std::sync::Arc;
 
 /// Held by each port that one `bind` tied.
@@ -64,32 +62,4 @@ impl Drop for Settled {
             self.host.keep();
         }
     }
-}
-
-/// The lists of names as the host knows them, kept apart from the fields, which an author may exchange at any
-/// time: ids and slots are counted by these.
-#[derive(Clone, Default)]
-pub struct Layout {
-    pub inputs: Vec<Vec<String>>,
-    pub outputs: Vec<Vec<String>>,
-    pub required: Vec<Vec<String>>,
-    pub provided: Vec<Vec<String>>,
-}
-
-impl Layout {
-    pub(crate) fn wanted(lists: &Lists<'_>) -> Layout {
-        let names = |lists: &[&Names]| lists.iter().map(|names| names.wanted().to_vec()).collect();
-        Layout {
-            inputs: names(&lists.inputs),
-            outputs: names(&lists.outputs),
-            required: names(&lists.required),
-            provided: names(&lists.provided),
-        }
-    }
-}
-
-/// The names of one list; none before the first description.
-#[inline]
-pub fn names(lists: &[Vec<String>], at: usize) -> &[String] {
-    lists.get(at).map_or(&[], Vec::as_slice)
 }

@@ -10,14 +10,18 @@ extern crate self as trocar_sdk;
 
 mod aligned;
 mod any;
+mod binder;
 mod call;
+mod class;
 mod component;
 mod config;
 pub mod crtk;
 pub mod data;
 mod describe;
 mod dynamic;
+mod error;
 mod export;
+mod flow;
 mod forward;
 mod frames;
 mod function;
@@ -25,8 +29,11 @@ mod function;
 mod geometry;
 mod guard;
 mod host;
+mod interfaces;
 mod lease;
+mod lists;
 mod many;
+mod names;
 mod outcome;
 mod parallel;
 mod payload;
@@ -40,16 +47,19 @@ mod values;
 
 pub use any::{Any, AnyFunction, AnyIn, AnyOut, AnyView, HeldFrame};
 pub use call::{Answer, Value};
-pub use component::{Class, Component, Error, Result, Tick};
+pub use class::Class;
+pub use component::{Component, Tick};
 pub use config::{Config, ConfigField};
 pub use dynamic::{AnyCommand, AnyField, AnyPart, AnyShape, AnyType, Place};
+pub use error::{Error, Result};
 pub use frames::{Frame, FrameLoan, FrameView};
 pub use function::{Event, Function};
 #[cfg(feature = "nalgebra")]
 pub use geometry::{CARRIED_S, Carried, GeometryError, UNIT_TOLERANCE};
 pub use host::Host;
 pub use log;
-pub use many::{Many, Names};
+pub use many::Many;
+pub use names::Names;
 pub use outcome::{CallError, NoFrame, Outcome};
 pub use payload::{Payload, as_bytes, from_bytes};
 pub use ports::{In, Out, Sample};
@@ -75,17 +85,17 @@ pub mod prelude {
 /// Items that generated code refers to. Not for authors; changes without notice.
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::call::{
-        Answer, Call, DeclaresProvided, DeclaresRequired, HandlesPart, ProvidedPart, has_reads, kind_of,
-    };
+    pub use crate::binder::Binder;
+    pub use crate::call::{Answer, Call, kind_of};
     pub use crate::config::{
         JsonObject, field as config_field, known as config_known, unset as config_unset,
     };
-    pub use crate::describe::{Lists, check as check_lists};
+    pub use crate::describe::check as check_lists;
     pub use crate::export::{BUILT_WITH, manifest_text, plugin_name};
+    pub use crate::flow::{frame_fits, limits_fit, payload_of, port_type, unit_fits};
     pub use crate::function::{EventPort, FunctionPort};
-    pub use crate::lease::{Layout, names as names_of};
-    pub use crate::ports::{Binder, frame_fits, limits_fit, payload_of, port_type, unit_fits};
+    pub use crate::interfaces::{DeclaresProvided, DeclaresRequired, HandlesPart, ProvidedPart, has_reads};
+    pub use crate::lists::{Layout, Lists, names as names_of};
     pub use crate::shims::{Export, init, text};
     pub use crate::stubs::Shared;
     pub use trocar_plugin_api::abi::{ClassTable, PluginTable, Status};

@@ -1,126 +1,20 @@
-//! Ports and interfaces that exist once for each name of a list which the component sets itself.
+//! Ports that exist once for each name of a list which the component sets itself.
 //!
 //! Invariant: a list changes only in `bind`, for all of its ports at once. Until then positions, ids and
 //! slots mean what the host was told before, so a command never reaches the neighbour of the arm it was meant
-//! for. `lease::Layout` counts them, not these fields, which an author may exchange.
+//! for. `lists::Layout` counts them, not these fields, which an author may exchange.
 
 use crate::any::Any;
-use crate::component::Result;
 use crate::dynamic::AnyType;
+use crate::error::Result;
+use crate::flow::Flow;
 use crate::lease::Tie;
-use crate::ports::{Flow, Out};
+use crate::names::Names;
+use crate::ports::Out;
 use core::ops::{Index, IndexMut};
 
-/// Longest name, bytes; as in a host's paths.
-const MAX_NAME: usize = 63;
 /// Largest sample of a port, bytes; as in a host.
 const MAX_SAMPLE: usize = 64 * 1024;
-
-/// The names of repeated interfaces: a `#[names]` field. Set it in `configure`, or later followed by
-/// [`Host::ports_changed`]; it changes when the host has taken it over (see
-/// [`crate::Component::ports_changed`]).
-///
-/// Reads know no instance and so no list: the repeated provided interfaces that have some share one, the
-/// first.
-/// ```
-/// # use trocar_sdk::prelude::*;
-/// #[derive(Component)]
-/// #[component(provides("arm_{}", "arm_{}_tip"))]
-/// struct Arms { #[names("arm_{}", "arm_{}_tip")] arms: Names }
-/// #[provides("arm_{}_tip")]
-/// impl Arms { #[read] fn force(_: &ArmsState, arm: usize) -> f64 { arm as f64 } }
-/// # impl Component for Arms {}
-/// ```
-/// ```compile_fail,E0080
-/// # use trocar_sdk::prelude::*;
-/// #[derive(Component)]
-/// #[component(provides("arm_{}", "tool_{}"))]
-/// struct Arms { #[names("arm_{}")] arms: Names, #[names("tool_{}")] tools: Names }
-/// #[provides("tool_{}")]
-/// impl Arms { #[read] fn force(_: &ArmsState, tool: usize) -> f64 { tool as f64 } }
-/// # impl Component for Arms {}
-/// ```
-#[derive(Clone, Default, Debug)]
-pub struct Names {
-    wanted: Vec<String>,
-    bound: Vec<String>,
-    /// One for each wanted name, if the ports are untyped ones that get a type of their own.
-    types: Vec<AnyType>,
-}
-
-impl Names {
-    /// Sets the names that are to exist. A name that stays keeps its connections, at any position.
-    ///
-    /// # Errors
-    /// A text that is no name (a letter or `_`, then letters, digits, `_ . -`, at most 63) or a name that
-    /// comes twice; the old list stays.
-    pub fn set<S: AsRef<str>>(&mut self, names: impl IntoIterator<Item = S>) -> Result {
-        let names: Vec<String> = names.into_iter().map(|n| n.as_ref().to_string()).collect();
-        for (i, name) in names.iter().enumerate() {
-            check_name(name)?;
-            if names[..i].contains(name) {
-                return Err(format!("the name `{name}` is given twice").into());
-            }
-        }
-        self.wanted = names;
-        self.types.clear();
-        Ok(())
-    }
-
-    /// The type that the port of this position of [`Names::wanted`] gets, where it gets one of its own.
-    pub(crate) fn made_type(&self, at: usize) -> Option<&AnyType> {
-        self.types.get(at)
-    }
-
-    /// Returns the number of names now; this and all that follows is about the list the host has taken over.
-    pub fn len(&self) -> usize {
-        self.bound.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.bound.is_empty()
-    }
-
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = &str> {
-        self.bound.iter().map(String::as_str)
-    }
-
-    pub fn get(&self, at: usize) -> Option<&str> {
-        self.bound.get(at).map(String::as_str)
-    }
-
-    /// Returns the position of `name`.
-    pub fn position(&self, name: &str) -> Option<usize> {
-        self.bound.iter().position(|n| n == name)
-    }
-
-    /// Returns the list that was set last.
-    pub fn wanted(&self) -> &[String] {
-        &self.wanted
-    }
-
-    /// Itself: generated code asks lists and ports alike.
-    #[doc(hidden)]
-    pub fn names(&self) -> &Names {
-        self
-    }
-
-    /// `bind` comes with the slots of what the host was told.
-    #[doc(hidden)]
-    pub fn adopt(&mut self, told: &[String]) {
-        told.clone_into(&mut self.bound);
-    }
-}
-
-fn check_name(name: &str) -> Result {
-    let begins = name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
-    let good = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '-');
-    if begins && name.chars().all(good) && name.len() <= MAX_NAME {
-        return Ok(());
-    }
-    let rule = "a name begins with a letter or _ and holds letters, digits, _ . -, at most 63 of them";
-    Err(format!("`{name}` is no name: {rule}").into())
-}
 
 /// A port that exists once per name: `Many<In<JointState>>`, also of outputs, functions and events.
 ///
@@ -197,7 +91,7 @@ impl<P> Default for Many<P> {
 
 impl<P> Many<P> {
     /// Sets the ports that are to exist. After `configure` the host asks by itself; later, call
-    /// [`Host::ports_changed`]. A port whose name stays keeps its connection. Ports of a repeated interface
+    /// [`Host::ports_changed`](crate::Host::ports_changed). A port whose name stays keeps its connection. Ports of a repeated interface
     /// follow its `#[names]` list instead.
     ///
     /// # Errors
@@ -296,9 +190,7 @@ impl Many<Out<Any>> {
             let (name, size) = (name.as_ref(), ty.size());
             return Err(format!("`{name}`: a sample of {size} B is above {MAX_SAMPLE} B").into());
         }
-        self.names.set(names)?;
-        self.names.types = types;
-        Ok(())
+        self.names.set_typed(names, types)
     }
 }
 
@@ -308,9 +200,10 @@ impl<P: Flow + Default> Many<P> {
     /// # Safety
     /// `slot` gives, for each position of `told`, a slot as [`Flow::attach`] demands it.
     pub(crate) unsafe fn tie(&mut self, tie: &Tie, told: &[String], slot: impl Fn(usize) -> *const P::Slot) {
-        let mut old: Vec<(String, P)> = self.names.bound.drain(..).zip(self.ports.drain(..)).collect();
+        let mut old: Vec<(String, P)> =
+            self.names.iter().map(str::to_string).zip(self.ports.drain(..)).collect();
         self.names.adopt(told);
-        for (at, name) in self.names.bound.iter().enumerate() {
+        for (at, name) in told.iter().enumerate() {
             let known = old.iter().position(|(n, _)| n == name);
             let mut port = known.map(|i| old.swap_remove(i).1).unwrap_or_default();
             // SAFETY: the caller vouches for positions of the list.

@@ -3,7 +3,7 @@
 //! Invariant: each slice is worked on once, and all are done when the call returns; a panic in one never
 //! leaves this file.
 
-use crate::component::Result;
+use crate::error::Result;
 use crate::host::Host;
 use core::ffi::c_void;
 use core::ops::Range;

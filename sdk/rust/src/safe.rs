@@ -4,7 +4,8 @@
 //! Invariant: a handle is taken once, right after the component is made and before anybody enters it; from
 //! then on making safe touches nothing of the component, so it may run beside any entry that hangs.
 
-use crate::component::{Component, Result};
+use crate::component::Component;
+use crate::error::Result;
 use std::sync::Arc;
 
 /// Brings a device to its safe condition from any thread, at any time, beside anything else that runs in the

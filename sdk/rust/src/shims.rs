@@ -4,14 +4,16 @@
 //! except `make_safe` of a class with `safe_from_any_thread`, which may run beside any other. So no entry
 //! borrows the whole `Instance`, and that `make_safe` touches only its handle.
 
+use crate::binder::Binder;
 use crate::call::Call;
-use crate::component::{Class, Tick};
+use crate::class::Class;
+use crate::component::Tick;
 use crate::config::JsonObject;
 use crate::guard::{Chain, guard, refuse, settle};
 use crate::host::Host;
-use crate::lease::{Layout, Tie};
+use crate::lease::Tie;
+use crate::lists::Layout;
 use crate::payload::Payload;
-use crate::ports::Binder;
 use crate::safe::MakeSafe;
 use core::ffi::c_void;
 use core::marker::PhantomData;

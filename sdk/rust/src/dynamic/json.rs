@@ -4,7 +4,7 @@
 //! Invariant: values read from bytes give the same bytes when written, unless the bytes were no valid value.
 
 use super::{AnyType, Field, Node, Shape, whole};
-use crate::component::Result;
+use crate::error::Result;
 use serde_json::{Map, Number, Value as Json};
 use trocar_plugin_api::desc::Prim;
 

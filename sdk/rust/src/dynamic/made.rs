@@ -5,7 +5,7 @@
 //! that a host takes its description as it takes that of a class.
 
 use super::{AnyType, Field, MAX_SIZE, Node, Shape};
-use crate::component::Result;
+use crate::error::Result;
 use crate::payload::Payload;
 use serde_json::{Value as Json, json};
 use trocar_plugin_api::desc::{TypeDesc, TypeKind};

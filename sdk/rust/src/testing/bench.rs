@@ -7,15 +7,16 @@ mod life;
 mod ports;
 
 use super::alloc::{self, Count};
-use super::cells::{InCell, OutCell};
 use super::fake_host::FakeHost;
+use super::fake_system::FakeSystem;
 use super::history::{History, Kind};
+use super::input_cells::InCell;
 use super::logs::{self, LogLine};
 use super::member_cells::{EventCell, FnCell};
-use super::services::Replier;
+use super::output_cells::OutCell;
 use super::shape::Shape;
 use super::wired::Wired;
-use crate::component::Class;
+use crate::class::Class;
 use crate::payload::Payload;
 use crate::shims::Export;
 use core::ffi::c_void;
@@ -92,7 +93,7 @@ pub struct Bench<C: Class> {
     pub(crate) row: C::State,
     pub(crate) cycle: u64,
     pub(crate) history: History,
-    pub(crate) repliers: Vec<Replier>,
+    pub(crate) system: FakeSystem,
     /// Logged since the last asking.
     pub(crate) lines: RefCell<Vec<LogLine>>,
     /// Last configuration, with defaults filled in.
@@ -148,7 +149,7 @@ impl<C: Class> Bench<C> {
             row: C::State::zeroed(),
             cycle: 0,
             history: History::default(),
-            repliers: Vec::new(),
+            system: FakeSystem::default(),
             lines: RefCell::default(),
             config: Map::new(),
             made_safe: 0,
@@ -167,6 +168,11 @@ impl<C: Class> Bench<C> {
     /// The row published last: after create, and after each entry.
     pub fn state(&self) -> C::State {
         self.row
+    }
+
+    /// The lines logged in entries since the last asking, of the levels a host takes (`info` and above).
+    pub fn logs(&mut self) -> Vec<LogLine> {
+        self.lines.take()
     }
 
     /// Runs `f` and fails the test when the component allocated in one of its entries meanwhile. The test

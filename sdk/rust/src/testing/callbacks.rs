@@ -5,7 +5,7 @@
 
 use super::bench::Bench;
 use super::peers::code;
-use crate::component::Class;
+use crate::class::Class;
 use crate::outcome::Outcome;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use trocar_plugin_api::abi;

@@ -4,7 +4,7 @@
 
 use super::bench::Bench;
 use crate::call::Value;
-use crate::component::Class;
+use crate::class::Class;
 use crate::payload::Payload;
 use core::fmt::Debug;
 
@@ -28,6 +28,22 @@ impl<C: Class> Bench<C> {
     pub fn expect_calls<A: Value + PartialEq + Debug>(&mut self, function: &str, expected: &[A]) {
         let came = self.calls::<A>(function);
         self.compare("function", function, expected, &came);
+    }
+
+    /// Fails the test unless a line of this level with `part` in it was logged since the last asking. Takes
+    /// them all.
+    #[track_caller]
+    pub fn expect_log(&mut self, level: log::Level, part: &str) {
+        let came = self.logs();
+        if came.iter().any(|line| line.level == level && line.message.contains(part)) {
+            return;
+        }
+        let told: Vec<String> = came.iter().map(|l| format!("\n  {} {}", l.level, l.message)).collect();
+        let told = if told.is_empty() { " nothing".to_string() } else { told.concat() };
+        panic!(
+            "no line of level {level} with \"{part}\"; logged was{told}{}",
+            self.history.text(&self.shape)
+        );
     }
 
     /// Fails the test, with your sentence and the latest events, unless `holds`.

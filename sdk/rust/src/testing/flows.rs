@@ -3,10 +3,10 @@
 //! Invariant: a sequence number is used up by every sample that was written, whether or not it arrives.
 
 use super::bench::Bench;
+use super::carried::Carried;
 use super::history::Kind;
 use super::shape;
-use super::untyped::Carried;
-use crate::component::Class;
+use crate::class::Class;
 use crate::payload::{Payload, as_bytes, from_bytes};
 use crate::values::Stamp;
 use trocar_plugin_api::manifest::PortType;

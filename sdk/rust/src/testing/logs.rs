@@ -4,8 +4,6 @@
 //! allocation.
 
 use super::alloc;
-use super::bench::Bench;
-use crate::component::Class;
 use std::cell::RefCell;
 
 /// A line the component logged.
@@ -45,28 +43,5 @@ impl Entry {
     /// Ends the entry and returns what was logged in it.
     pub(crate) fn end(self) -> Vec<LogLine> {
         LINES.replace(self.0).unwrap_or_default()
-    }
-}
-
-impl<C: Class> Bench<C> {
-    /// The lines logged in entries since the last asking, of the levels a host takes (`info` and above).
-    pub fn logs(&mut self) -> Vec<LogLine> {
-        self.lines.take()
-    }
-
-    /// Fails the test unless a line of this level with `part` in it was logged since the last asking. Takes
-    /// them all.
-    #[track_caller]
-    pub fn expect_log(&mut self, level: log::Level, part: &str) {
-        let came = self.logs();
-        if came.iter().any(|line| line.level == level && line.message.contains(part)) {
-            return;
-        }
-        let told: Vec<String> = came.iter().map(|l| format!("\n  {} {}", l.level, l.message)).collect();
-        let told = if told.is_empty() { " nothing".to_string() } else { told.concat() };
-        panic!(
-            "no line of level {level} with \"{part}\"; logged was{told}{}",
-            self.history.text(&self.shape)
-        );
     }
 }

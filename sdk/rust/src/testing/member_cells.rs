@@ -4,7 +4,7 @@
 //! one.
 
 use super::alloc;
-use super::untyped::{CarriedCommand, tell};
+use super::carried::{CarriedCommand, tell};
 use core::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use trocar_plugin_api::abi::*;

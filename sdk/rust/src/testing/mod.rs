@@ -58,21 +58,26 @@
 //!
 //! A failing expectation prints the latest events, with values and times.
 
+mod aligned_bytes;
 mod alloc;
 mod behaves;
 mod bench;
 mod callbacks;
-mod cells;
+mod carried;
 mod config;
 mod expect;
 mod fake_host;
+mod fake_system;
 mod flows;
 mod history;
+mod implements;
+mod input_cells;
 mod limits;
 mod logs;
 pub(crate) mod manifest;
 mod member_cells;
 mod numbers;
+mod output_cells;
 mod parallel;
 mod peers;
 mod services;
@@ -85,8 +90,9 @@ pub use crate::count_allocations;
 pub use alloc::CountingAllocator;
 pub use behaves::{assert_behaves_as_arm, assert_behaves_as_camera, assert_behaves_as_camera_fed};
 pub use bench::{Bench, Failure, Life};
+pub use implements::{assert_implements, assert_implements_as};
 pub use logs::LogLine;
 pub(crate) use logs::keep;
-pub use manifest::{assert_implements, assert_implements_as, field_list};
+pub use manifest::field_list;
 pub use numbers::numbers;
 pub use trocar_plugin_api::contracts;

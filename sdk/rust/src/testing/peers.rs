@@ -7,7 +7,7 @@ use super::limits;
 use super::member_cells::Answer;
 use super::shape::{Member, Of};
 use crate::call::Value;
-use crate::component::Class;
+use crate::class::Class;
 use crate::outcome::Outcome;
 use trocar_plugin_api::abi;
 use trocar_plugin_api::desc::Safety;

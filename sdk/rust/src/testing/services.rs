@@ -1,23 +1,15 @@
-//! Dynamic component services: the component's requests, and a fake system that answers.
+//! Dynamic component services: the component's requests, and the replies to them.
 //!
 //! Invariant: replies are delivered between entries, never from within one, as a host does.
 
 use super::bench::{Bench, Done, Failure, Life};
-use crate::component::Class;
-use serde_json::{Value as Json, json};
+use crate::class::Class;
+use serde_json::Value as Json;
 use std::sync::PoisonError;
 use trocar_plugin_api::abi::{self, Bytes};
 
 /// Most rounds of replies that lead to further services.
 const MAX_ROUNDS: usize = 100;
-
-type Answer = dyn FnMut(&Json) -> Result<Json, String>;
-
-/// Answers one verb; "" answers any other.
-pub(crate) struct Replier {
-    verb: String,
-    answer: Box<Answer>,
-}
 
 impl<C: Class> Bench<C> {
     /// Services asked for since the last asking, and not answered by `answer_service`: token and JSON.
@@ -29,8 +21,7 @@ impl<C: Class> Bench<C> {
     /// reason of a refusal. The reply is delivered when the entry that asked is over; the reply to a device's
     /// callback, after the next entry.
     pub fn answer_service(&mut self, verb: &str, f: impl FnMut(&Json) -> Result<Json, String> + 'static) {
-        self.repliers.retain(|r| r.verb != verb);
-        self.repliers.push(Replier { verb: verb.to_string(), answer: Box::new(f) });
+        self.system.answer_with(verb, Box::new(f));
         self.reply_all();
     }
 
@@ -53,7 +44,7 @@ impl<C: Class> Bench<C> {
     /// Answers the requests that the fake system can answer; a reply may lead to more requests.
     #[track_caller]
     pub(crate) fn reply_all(&mut self) {
-        if self.repliers.is_empty() || self.life() == Life::Fault {
+        if !self.system.answers() || self.life() == Life::Fault {
             return;
         }
         for _ in 0..MAX_ROUNDS {
@@ -62,15 +53,9 @@ impl<C: Class> Bench<C> {
             let mut answered = false;
             for (token, request) in asked {
                 let json: Json = serde_json::from_str(&request).unwrap_or_default();
-                let verb = json["verb"].as_str().unwrap_or_default().to_string();
-                let named = self.repliers.iter().position(|r| r.verb == verb);
-                let Some(at) = named.or_else(|| self.repliers.iter().position(|r| r.verb.is_empty())) else {
+                let Some(reply) = self.system.answer(&json) else {
                     open.push((token, request));
                     continue;
-                };
-                let reply = match (self.repliers[at].answer)(&json) {
-                    Ok(response) => json!({ "ok": true, "response": response }),
-                    Err(message) => json!({ "ok": false, "reason": "REFUSED", "message": message }),
                 };
                 if let Err(e) = self.reply(token, &reply.to_string()) {
                     panic!("the component refused the reply to {request}: {e}");

@@ -5,7 +5,7 @@
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use super::manifest;
-use crate::component::Class;
+use crate::class::Class;
 use trocar_plugin_api::contracts::{leaves_of, size_of_type};
 use trocar_plugin_api::desc::TypeDesc;
 use trocar_plugin_api::manifest::{self as m, Description, PortType, Type};

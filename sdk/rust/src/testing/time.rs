@@ -3,7 +3,7 @@
 //! Invariant: time passes only when a test says so; the grid of deadlines is exact with any lateness.
 
 use super::bench::{Bench, Done};
-use crate::component::Class;
+use crate::class::Class;
 use crate::values::Stamp;
 use std::sync::atomic::Ordering;
 use trocar_plugin_api::abi;

@@ -6,7 +6,7 @@
 mod means;
 
 use super::super::bench::{Bench, Life};
-use crate::component::Class;
+use crate::class::Class;
 use crate::crtk::STATE_COMMANDS;
 use crate::data::{JointConfiguration, JointState, OperatingMode, OperatingState, Pose};
 use crate::values::{List, Stamp};

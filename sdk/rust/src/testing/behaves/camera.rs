@@ -5,7 +5,7 @@
 
 use super::super::bench::{Bench, Life};
 use super::super::shape::Of;
-use crate::component::Class;
+use crate::class::Class;
 use crate::data::{CameraGeometry, ImageHeader, StereoHeader};
 use crate::values::Stamp;
 use std::time::{Duration, Instant};

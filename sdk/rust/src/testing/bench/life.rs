@@ -4,7 +4,7 @@
 //! and after an entry that failed the component is made safe and in FAULT: only `reset` leads out of there.
 
 use super::{Bench, Done, Failure, Life, collect, create};
-use crate::component::Class;
+use crate::class::Class;
 use crate::payload::as_bytes;
 use core::ffi::c_void;
 use core::fmt::Display;

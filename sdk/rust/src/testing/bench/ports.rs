@@ -2,12 +2,13 @@
 //!
 //! Invariant: a port that keeps name and type keeps its cell, and with it the queued values.
 
-use super::super::cells::{InCell, OutCell};
+use super::super::input_cells::InCell;
 use super::super::member_cells::{EventCell, FnCell};
+use super::super::output_cells::OutCell;
 use super::super::shape::{self, Member, Of, Shape};
 use super::super::wired::Wired;
 use super::{Bench, collect};
-use crate::component::Class;
+use crate::class::Class;
 use core::fmt;
 use std::sync::atomic::Ordering;
 use trocar_plugin_api::abi::{self, EventSlot, FnSlot, InSlot, OutSlot, Ports, Sink};

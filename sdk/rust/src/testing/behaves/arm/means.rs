@@ -8,7 +8,7 @@ use super::super::super::bench::{Failure, Life};
 use super::super::super::shape::Of;
 use super::Arm;
 use crate::call::Value;
-use crate::component::Class;
+use crate::class::Class;
 use crate::data::{JointState, OperatingMode, OperatingState, Pose};
 use crate::values::{List, Text};
 use trocar_plugin_api::contracts::ARM;
