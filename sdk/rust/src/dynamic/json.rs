@@ -87,71 +87,80 @@ fn read_prim(prim: Prim, b: &[u8]) -> Json {
     }
 }
 
+/// Writes `value` to `out`, which has at least the node's size; `at` is the path to it, for the refusal.
 fn write(node: &Node, value: &Json, out: &mut [u8], at: &str) -> Result {
-    let wrong = |why: String| {
-        let at = if at.is_empty() { "value" } else { at.trim_start_matches('/') };
-        Err(format!("{at}: {why}").into())
-    };
     match &node.shape {
         Shape::Prim(prim) => match prim_bytes(*prim, value) {
             Ok(bytes) => out[..prim.size()].copy_from_slice(&bytes[..prim.size()]),
-            Err(wanted) => return wrong(format!("{value} is no {wanted}")),
+            Err(wanted) => return refused(at, &format!("{value} is no {wanted}")),
         },
-        Shape::Enum { repr, values, .. } => {
-            let named = value.as_str().and_then(|text| values.iter().find(|(name, _)| name == text));
-            let number = named.map(|(_, n)| Json::from(*n));
-            match prim_bytes(*repr, number.as_ref().unwrap_or(value)) {
-                Ok(bytes) => out[..repr.size()].copy_from_slice(&bytes[..repr.size()]),
-                Err(_) => {
-                    let names: Vec<&str> = values.iter().map(|(name, _)| name.as_str()).collect();
-                    return wrong(format!("{value} is none of {}", names.join(", ")));
-                }
-            }
-        }
+        Shape::Enum { repr, values, .. } => write_enum(*repr, values, value, out, at)?,
         Shape::Array { item, n } => {
             let Some(items) = value.as_array().filter(|items| items.len() == *n) else {
-                return wrong(format!("{n} items are wanted"));
+                return refused(at, &format!("{n} items are wanted"));
             };
             write_items(item, items, out, at)?;
         }
         Shape::List { item, n } => {
             let Some(items) = value.as_array().filter(|items| items.len() <= *n) else {
-                return wrong(format!("a list of at most {n} items is wanted"));
+                return refused(at, &format!("a list of at most {n} items is wanted"));
             };
             out[..8].copy_from_slice(&(items.len() as u64).to_le_bytes());
             write_items(item, items, &mut out[8..], at)?;
         }
         Shape::Text { n } => {
             let Some(text) = value.as_str().filter(|text| text.len() <= *n) else {
-                return wrong(format!("a text of at most {n} bytes is wanted"));
+                return refused(at, &format!("a text of at most {n} bytes is wanted"));
             };
             out[..8].copy_from_slice(&(text.len() as u64).to_le_bytes());
             out[8..8 + text.len()].copy_from_slice(text.as_bytes());
         }
-        Shape::Struct { name, fields } => {
-            let Some(object) = value.as_object() else {
-                return wrong(format!("an object with the fields of {name} is wanted"));
-            };
-            if let Some(key) = object.keys().find(|key| fields.iter().all(|f| f.name != **key)) {
-                let names: Vec<&str> = fields.iter().map(|f| f.name.as_str()).collect();
-                return wrong(format!("{name} has no field `{key}`; it has {}", names.join(", ")));
-            }
-            for f in fields {
-                let may_miss = matches!(
-                    f.node.shape,
-                    Shape::Prim(Prim::Stamp) | Shape::List { .. } | Shape::Text { .. }
-                ) || f.name.starts_with("reserved");
-                match object.get(&f.name) {
-                    Some(value) => {
-                        write(&f.node, value, &mut out[f.at..], &format!("{at}/{}", f.name))?;
-                    }
-                    None if may_miss => {}
-                    None => return wrong(format!("field `{}` of {name} is missing", f.name)),
-                }
-            }
+        Shape::Struct { name, fields } => write_struct(name, fields, value, out, at)?,
+    }
+    Ok(())
+}
+
+/// The refusal of the value at this path.
+fn refused(at: &str, why: &str) -> Result {
+    let at = if at.is_empty() { "value" } else { at.trim_start_matches('/') };
+    Err(format!("{at}: {why}").into())
+}
+
+/// Named values: by name, or by number.
+fn write_enum(repr: Prim, values: &[(String, i64)], value: &Json, out: &mut [u8], at: &str) -> Result {
+    let named = value.as_str().and_then(|text| values.iter().find(|(name, _)| name == text));
+    let number = named.map(|(_, n)| Json::from(*n));
+    let Ok(bytes) = prim_bytes(repr, number.as_ref().unwrap_or(value)) else {
+        let names: Vec<&str> = values.iter().map(|(name, _)| name.as_str()).collect();
+        return refused(at, &format!("{value} is none of {}", names.join(", ")));
+    };
+    out[..repr.size()].copy_from_slice(&bytes[..repr.size()]);
+    Ok(())
+}
+
+fn write_struct(name: &str, fields: &[Field], value: &Json, out: &mut [u8], at: &str) -> Result {
+    let Some(object) = value.as_object() else {
+        return refused(at, &format!("an object with the fields of {name} is wanted"));
+    };
+    if let Some(key) = object.keys().find(|key| fields.iter().all(|f| f.name != **key)) {
+        let names: Vec<&str> = fields.iter().map(|f| f.name.as_str()).collect();
+        return refused(at, &format!("{name} has no field `{key}`; it has {}", names.join(", ")));
+    }
+    for f in fields {
+        match object.get(&f.name) {
+            Some(value) => write(&f.node, value, &mut out[f.at..], &format!("{at}/{}", f.name))?,
+            None if may_miss(f) => {}
+            None => return refused(at, &format!("field `{}` of {name} is missing", f.name)),
         }
     }
     Ok(())
+}
+
+/// Tells whether a field may be left out: its zero bytes are a value that means "none".
+fn may_miss(field: &Field) -> bool {
+    let shape = &field.node.shape;
+    matches!(shape, Shape::Prim(Prim::Stamp) | Shape::List { .. } | Shape::Text { .. })
+        || field.name.starts_with("reserved")
 }
 
 fn write_items(item: &Node, items: &[Json], out: &mut [u8], at: &str) -> Result {
