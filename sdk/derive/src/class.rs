@@ -110,66 +110,14 @@ impl ClassAttr {
                 self.name = name.value();
             }
             "rate_hz" => {
-                let expr = meta.value()?.parse::<Expr>()?;
-                let rate: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
-                let period_ns = (1e9 / rate).round();
-                if !(PERIOD_NS.0 as f64..=PERIOD_NS.1 as f64).contains(&period_ns) {
-                    return Err(syn::Error::new_spanned(
-                        expr,
-                        "rate_hz is at most 1e6 Hz (a period of 1 µs) and at least 1/3600 Hz (a period of 1 h)",
-                    ));
-                }
-                self.period_ns = period_ns as u64;
+                self.period_ns = period(&meta)?;
                 self.rate = Some(meta.path.span());
             }
-            "max_step_ms" => {
-                let expr = meta.value()?.parse::<Expr>()?;
-                let ms: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
-                let ns = (1e6 * ms).ceil();
-                if !(MAX_STEP_NS.0 as f64..=MAX_STEP_NS.1 as f64).contains(&ns) {
-                    return Err(syn::Error::new_spanned(
-                        expr,
-                        "max_step_ms is at least 0.1 ms and at most 3.6e6 ms (1 h)",
-                    ));
-                }
-                self.max_step_ns = ns as u64;
-            }
-            "model" => {
-                let model = meta.value()?.parse::<LitStr>()?;
-                if !MODELS.contains(&model.value().as_str()) {
-                    return Err(syn::Error::new(
-                        model.span(),
-                        format!("unknown execution model; there are {}", MODELS.join(", ")),
-                    ));
-                }
-                self.model = model.value();
-            }
-            "models" => {
-                let mut named = Vec::new();
-                names(&meta, &mut named)?;
-                for (model, span) in named {
-                    if !MODELS.iter().chain(&INSIDE).any(|known| *known == model) {
-                        let known = [MODELS.as_slice(), &INSIDE].concat().join(", ");
-                        return Err(syn::Error::new(
-                            span,
-                            format!("unknown execution model; there are {known}"),
-                        ));
-                    }
-                    self.models.push(model);
-                }
-            }
+            "max_step_ms" => self.max_step_ns = max_step(&meta)?,
+            "model" => self.model = model(&meta)?,
+            "models" => self.models.extend(models(&meta)?),
             "rates_hz" => self.periods_ns = rates(&meta)?,
-            "safety" => {
-                let safety = meta.value()?.parse::<LitStr>()?;
-                self.safety = match safety.value().as_str() {
-                    "actuator" => "Actuator",
-                    "sensor" => "Sensor",
-                    "none" => "None",
-                    _ => {
-                        return Err(syn::Error::new(safety.span(), "safety is actuator, sensor or none"));
-                    }
-                };
-            }
+            "safety" => self.safety = safety(&meta)?,
             "hardware" => self.hardware = true,
             "safe_from_any_thread" => self.safe_from_any_thread = Some(meta.path.span()),
             "starts_programs" => self.starts_programs = true,
@@ -184,6 +132,72 @@ impl ClassAttr {
             }
         }
         Ok(())
+    }
+}
+
+/// `rate_hz = …` as a period, ns.
+fn period(meta: &ParseNestedMeta<'_>) -> syn::Result<u64> {
+    let expr = meta.value()?.parse::<Expr>()?;
+    let rate: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
+    let period_ns = (1e9 / rate).round();
+    if !(PERIOD_NS.0 as f64..=PERIOD_NS.1 as f64).contains(&period_ns) {
+        return Err(syn::Error::new_spanned(
+            expr,
+            "rate_hz is at most 1e6 Hz (a period of 1 µs) and at least 1/3600 Hz (a period of 1 h)",
+        ));
+    }
+    Ok(period_ns as u64)
+}
+
+/// `max_step_ms = …`, ns.
+fn max_step(meta: &ParseNestedMeta<'_>) -> syn::Result<u64> {
+    let expr = meta.value()?.parse::<Expr>()?;
+    let ms: f64 = attrs::number(&expr)?.parse().unwrap_or(0.0);
+    let ns = (1e6 * ms).ceil();
+    if !(MAX_STEP_NS.0 as f64..=MAX_STEP_NS.1 as f64).contains(&ns) {
+        return Err(syn::Error::new_spanned(
+            expr,
+            "max_step_ms is at least 0.1 ms and at most 3.6e6 ms (1 h)",
+        ));
+    }
+    Ok(ns as u64)
+}
+
+/// `model = "…"`.
+fn model(meta: &ParseNestedMeta<'_>) -> syn::Result<String> {
+    let model = meta.value()?.parse::<LitStr>()?;
+    if !MODELS.contains(&model.value().as_str()) {
+        return Err(syn::Error::new(
+            model.span(),
+            format!("unknown execution model; there are {}", MODELS.join(", ")),
+        ));
+    }
+    Ok(model.value())
+}
+
+/// `models("…", "…")`, also those that need another component.
+fn models(meta: &ParseNestedMeta<'_>) -> syn::Result<Vec<String>> {
+    let mut named = Vec::new();
+    names(meta, &mut named)?;
+    let mut models = Vec::new();
+    for (model, span) in named {
+        if !MODELS.iter().chain(&INSIDE).any(|known| *known == model) {
+            let known = [MODELS.as_slice(), &INSIDE].concat().join(", ");
+            return Err(syn::Error::new(span, format!("unknown execution model; there are {known}")));
+        }
+        models.push(model);
+    }
+    Ok(models)
+}
+
+/// `safety = "…"` as the variant of `desc::Safety`.
+fn safety(meta: &ParseNestedMeta<'_>) -> syn::Result<&'static str> {
+    let safety = meta.value()?.parse::<LitStr>()?;
+    match safety.value().as_str() {
+        "actuator" => Ok("Actuator"),
+        "sensor" => Ok("Sensor"),
+        "none" => Ok("None"),
+        _ => Err(syn::Error::new(safety.span(), "safety is actuator, sensor or none")),
     }
 }
 

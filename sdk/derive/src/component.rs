@@ -1,13 +1,14 @@
-//! `#[derive(Component)]`: the class description, its state struct, and the way from ids to fields.
+//! `#[derive(Component)]`: the class description and its state struct.
 //!
-//! Invariant: ids and slot indices are positions in the description, so both are written in one pass over the
-//! same lists.
+//! Invariant: ids and slot indices are positions in the description, so it is written from the same lists, in
+//! the same order, as the methods of the class.
 
 use crate::attrs;
 use crate::class::ClassAttr;
 use crate::fields::{ComponentFields, Port};
 use crate::interfaces::{self, Interface, Interfaces};
 use crate::many;
+use crate::methods;
 use crate::payload;
 use proc_macro2::{Ident, TokenStream};
 use quote::{format_ident, quote, quote_spanned};
@@ -29,9 +30,7 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
     let name = &input.ident;
     let state = state(&input, &fields);
     let desc = desc(&class, &fields, &provided, &required);
-    let create = create(&fields);
-    let safe = safe_handle(&class);
-    let methods = methods(&fields, &provided, &required);
+    let methods = methods::all(&class, &fields, &provided, &required);
     let many = many::items(name, &fields, &provided, &required);
     let checks = many::checks(name, &provided);
     let frames = frames(&fields);
@@ -50,8 +49,6 @@ pub(crate) fn derive(input: DeriveInput) -> syn::Result<TokenStream> {
             unsafe impl ::trocar_sdk::Class for #name {
                 const DESC: &'static ::trocar_sdk::__private::ClassDesc = &#desc;
                 type State = #state_name;
-                #create
-                #safe
                 #methods
                 #many
             }
@@ -260,151 +257,6 @@ fn provided_desc(i: &Interface<'_>) -> TokenStream {
             events: &[#(#events),*],
         }
     }
-}
-
-fn create(fields: &ComponentFields) -> TokenStream {
-    let ports = [&fields.inputs, &fields.outputs, &fields.functions, &fields.events];
-    let ports = ports.into_iter().flatten().map(|p| &p.ident);
-    let private = &fields.private;
-    let state = fields.state.iter().map(|f| &f.ident);
-    let config = fields.config.iter().map(|(ident, _)| ident);
-    let host = fields.host.iter();
-    let names = fields.names.iter().map(|(ident, _)| ident);
-    quote! {
-        fn create(host: ::trocar_sdk::Host) -> Self {
-            let _ = host;
-            Self {
-                #(#ports: ::core::default::Default::default(),)*
-                #(#private: ::core::default::Default::default(),)*
-                #(#state: ::trocar_sdk::Payload::zeroed(),)*
-                #(#config: ::trocar_sdk::Config::unset(),)*
-                #(#host: host,)*
-                #(#names: ::core::default::Default::default(),)*
-            }
-        }
-    }
-}
-
-/// Checks that a class that says `safe_from_any_thread` has its handle; the compiler shows the mistake at
-/// that word.
-fn safe_handle(class: &ClassAttr) -> TokenStream {
-    let Some(span) = class.safe_from_any_thread else { return TokenStream::new() };
-    let handle = quote_spanned!(span => <Self as ::trocar_sdk::SafeFromAnyThread>::safe_handle(self));
-    quote! {
-        fn safe_handle(&self) -> ::core::option::Option<::std::sync::Arc<dyn ::trocar_sdk::MakeSafe>> {
-            ::core::option::Option::Some(#handle)
-        }
-    }
-}
-
-fn methods(fields: &ComponentFields, provided: &Interfaces<'_>, required: &Interfaces<'_>) -> TokenStream {
-    let fixed = |p: &&Port| !p.many;
-    let inputs = binds("input", fields.inputs.iter().filter(fixed));
-    let outputs = binds("output", fields.outputs.iter().filter(fixed));
-    let functions = binds("function", required.fixed.iter().flat_map(|i| i.ports.iter().copied()));
-    let events = binds("event", provided.fixed.iter().flat_map(|i| i.ports.iter().copied()));
-    let repeated = many::binds(fields, provided, required);
-    let state: Vec<&Ident> = fields.state.iter().map(|f| &f.ident).collect();
-    let (many_commands, many_read) = (many::commands(provided), many::read(provided));
-    let many_handlers = many::handlers(required);
-    let check = many::check(fields, provided, required);
-    let provided: Vec<Ident> = provided.fixed.iter().map(Interface::provides_part).collect();
-    let required: Vec<Ident> = required.fixed.iter().map(Interface::handles_part).collect();
-    let configure = quote!(::trocar_sdk::Component::configure(self)#check);
-    let apply = match &fields.config {
-        Some((ident, ty)) => quote! {
-            let new = <#ty as ::trocar_sdk::Config>::parse(object)?;
-            let old = ::core::mem::replace(&mut self.#ident, new);
-            let done: ::trocar_sdk::Result = #configure;
-            done.inspect_err(|_| self.#ident = old)
-        },
-        None => quote! {
-            ::trocar_sdk::__private::config_known(object, &[])?;
-            #configure
-        },
-    };
-    quote! {
-        fn apply(&mut self, object: &::trocar_sdk::__private::JsonObject) -> ::trocar_sdk::Result {
-            #apply
-        }
-        fn bind(&mut self, binder: &::trocar_sdk::__private::Binder<'_>) {
-            let _ = binder;
-            #inputs #outputs #functions #events #repeated
-        }
-        #[inline]
-        fn state(&self) -> Self::State {
-            #[allow(unused_mut)]
-            let mut row = <Self::State as ::trocar_sdk::Payload>::zeroed();
-            #(row.#state = self.#state;)*
-            row
-        }
-        fn set_state(&mut self, row: &Self::State) {
-            let _ = row;
-            #(self.#state = row.#state;)*
-        }
-        #[inline]
-        fn command(
-            &mut self,
-            id: u32,
-            lists: &::trocar_sdk::__private::Layout,
-            call: &mut ::trocar_sdk::__private::Call,
-        ) -> ::trocar_sdk::__private::Status {
-            let _ = lists;
-            let mut at = 0u32;
-            #(
-                let next = at + Self::#provided.commands.len() as u32;
-                if id < next { return (Self::#provided.command)(self, id - at, 0, call); }
-                at = next;
-            )*
-            #many_commands
-            let _ = at;
-            call.unknown(id)
-        }
-        #[inline]
-        fn read(
-            row: &Self::State,
-            id: u32,
-            call: &mut ::trocar_sdk::__private::Call,
-        ) -> ::trocar_sdk::__private::Status {
-            let _ = row;
-            let mut at = 0u32;
-            #(
-                let next = at + Self::#provided.commands.len() as u32;
-                if id < next { return (Self::#provided.read)(row, id - at, 0, call); }
-                at = next;
-            )*
-            #many_read
-            let _ = at;
-            call.unknown(id)
-        }
-        #[inline]
-        fn on_event(
-            &mut self,
-            id: u32,
-            lists: &::trocar_sdk::__private::Layout,
-            call: &mut ::trocar_sdk::__private::Call,
-        ) -> ::trocar_sdk::__private::Status {
-            let _ = lists;
-            let mut at = 0u32;
-            #(
-                let next = at + Self::#required.handlers.len() as u32;
-                if id < next { return (Self::#required.on_event)(self, id - at, 0, call); }
-                at = next;
-            )*
-            #many_handlers
-            let _ = at;
-            call.unknown(id)
-        }
-    }
-}
-
-fn binds<'a>(kind: &str, ports: impl Iterator<Item = &'a Port>) -> TokenStream {
-    let method = format_ident!("{kind}");
-    let lines = ports.enumerate().map(|(i, p)| {
-        let ident = &p.ident;
-        quote!(binder.#method(#i, &mut self.#ident);)
-    });
-    quote!(#(#lines)*)
 }
 
 /// Empty parts that an inherent constant of the same name (from `#[provides]`, `#[handles]`) takes precedence

@@ -9,7 +9,7 @@ use crate::attrs;
 use proc_macro2::TokenStream;
 use quote::quote;
 use syn::ext::IdentExt;
-use syn::{Data, DeriveInput, Expr, Field, Fields, GenericArgument, PathArguments, Type};
+use syn::{Data, DeriveInput, Expr, Field, Fields, GenericArgument, PathArguments, Type, TypeArray};
 
 #[derive(Default)]
 struct Settings {
@@ -106,65 +106,73 @@ fn settings(field: &Field) -> syn::Result<Settings> {
 /// Returns the inside of the field's schema object. Limits of list items move into `items`; those of plain
 /// numbers stay in `s`.
 fn schema(ty: &Type, s: &mut Settings) -> syn::Result<String> {
-    let enumeration = |s: &Settings| {
-        if s.one_of.is_empty() { String::new() } else { format!(",\"enum\":{}", s.one_of) }
+    let path = match ty {
+        Type::Array(array) => return list(array, s),
+        Type::Path(path) => path,
+        _ => return Err(unknown(ty)),
     };
-    match ty {
-        Type::Array(array) => {
-            let items = items(&array.elem, s)?;
-            let count = match &array.len {
-                Expr::Lit(lit) => {
-                    let n = attrs::number(&Expr::Lit(lit.clone()))?;
-                    format!(",\"minItems\":{n},\"maxItems\":{n}")
-                }
-                _ => String::new(),
-            };
-            Ok(format!("\"type\":\"array\",\"items\":{items}{count}"))
+    let Some(last) = path.path.segments.last() else { return Err(unknown(ty)) };
+    match last.ident.to_string().as_str() {
+        "f64" | "f32" => Ok(format!("\"type\":\"number\"{}", s.enumeration())),
+        "bool" => Ok("\"type\":\"boolean\"".to_string()),
+        "String" => Ok(format!("\"type\":\"string\"{}", s.enumeration())),
+        "Vec" => {
+            let items = items(inner(&last.arguments).ok_or_else(|| unknown(ty))?, s)?;
+            Ok(format!("\"type\":\"array\",\"items\":{items}"))
         }
-        Type::Path(path) => {
-            let Some(last) = path.path.segments.last() else { return Err(unknown(ty)) };
-            match last.ident.to_string().as_str() {
-                "f64" | "f32" => Ok(format!("\"type\":\"number\"{}", enumeration(s))),
-                "bool" => Ok("\"type\":\"boolean\"".to_string()),
-                "String" => Ok(format!("\"type\":\"string\"{}", enumeration(s))),
-                "Vec" => {
-                    let items = items(inner(&last.arguments).ok_or_else(|| unknown(ty))?, s)?;
-                    Ok(format!("\"type\":\"array\",\"items\":{items}"))
-                }
-                "Option" => {
-                    let of = inner(&last.arguments).ok_or_else(|| unknown(ty))?;
-                    if is_option(of) {
-                        return Err(syn::Error::new_spanned(ty, "one Option is enough: JSON has one null"));
-                    }
-                    // For a list, the choice applies to its items.
-                    if !s.one_of.is_empty() && !is_list(of) {
-                        s.one_of.insert_str(s.one_of.len() - 1, ",null");
-                    }
-                    let inside = schema(of, s)?;
-                    if s.default.is_empty() {
-                        s.default = "null".to_string();
-                    }
-                    let Some((first, rest)) =
-                        inside.strip_prefix("\"type\":").map(|t| t.split_at(t.find(',').unwrap_or(t.len())))
-                    else {
-                        return Err(unknown(ty));
-                    };
-                    Ok(format!("\"type\":[{first},\"null\"]{rest}"))
-                }
-                name => {
-                    let (min, max) = fit::integer_limits(name).ok_or_else(|| unknown(ty))?;
-                    if s.min.is_empty() {
-                        s.min = min.to_string();
-                    }
-                    if s.max.is_empty() {
-                        s.max = max.to_string();
-                    }
-                    Ok(format!("\"type\":\"integer\"{}", enumeration(s)))
-                }
+        "Option" => optional(ty, inner(&last.arguments).ok_or_else(|| unknown(ty))?, s),
+        name => {
+            let (min, max) = fit::integer_limits(name).ok_or_else(|| unknown(ty))?;
+            if s.min.is_empty() {
+                s.min = min.to_string();
             }
+            if s.max.is_empty() {
+                s.max = max.to_string();
+            }
+            Ok(format!("\"type\":\"integer\"{}", s.enumeration()))
         }
-        _ => Err(unknown(ty)),
     }
+}
+
+impl Settings {
+    /// The allowed values of a schema; nothing when any value is allowed.
+    fn enumeration(&self) -> String {
+        if self.one_of.is_empty() { String::new() } else { format!(",\"enum\":{}", self.one_of) }
+    }
+}
+
+/// `[T; N]`: a list of fixed length, where the length is a literal.
+fn list(array: &TypeArray, s: &mut Settings) -> syn::Result<String> {
+    let items = items(&array.elem, s)?;
+    let count = match &array.len {
+        Expr::Lit(lit) => {
+            let n = attrs::number(&Expr::Lit(lit.clone()))?;
+            format!(",\"minItems\":{n},\"maxItems\":{n}")
+        }
+        _ => String::new(),
+    };
+    Ok(format!("\"type\":\"array\",\"items\":{items}{count}"))
+}
+
+/// `Option<T>`: a value or null, which is also its default.
+fn optional(ty: &Type, of: &Type, s: &mut Settings) -> syn::Result<String> {
+    if is_option(of) {
+        return Err(syn::Error::new_spanned(ty, "one Option is enough: JSON has one null"));
+    }
+    // For a list, the choice applies to its items.
+    if !s.one_of.is_empty() && !is_list(of) {
+        s.one_of.insert_str(s.one_of.len() - 1, ",null");
+    }
+    let inside = schema(of, s)?;
+    if s.default.is_empty() {
+        s.default = "null".to_string();
+    }
+    let Some((first, rest)) =
+        inside.strip_prefix("\"type\":").map(|t| t.split_at(t.find(',').unwrap_or(t.len())))
+    else {
+        return Err(unknown(ty));
+    };
+    Ok(format!("\"type\":[{first},\"null\"]{rest}"))
 }
 
 fn items(ty: &Type, s: &mut Settings) -> syn::Result<String> {

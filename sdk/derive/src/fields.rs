@@ -58,85 +58,104 @@ const ROLES: [&str; 8] = ["input", "output", "required", "event", "state", "conf
 impl ComponentFields {
     pub(crate) fn of(input: &DeriveInput) -> syn::Result<ComponentFields> {
         let mut out = ComponentFields::default();
-        let Data::Struct(data) = &input.data else {
-            return Err(syn::Error::new_spanned(&input.ident, "a component is a struct"));
-        };
-        let named = match &data.fields {
-            Fields::Named(named) => &named.named,
-            Fields::Unit | Fields::Unnamed(_) => {
-                return Err(syn::Error::new_spanned(
-                    &input.ident,
-                    "a component is a struct with named fields; without any, write `struct Name {}`",
-                ));
-            }
-        };
-        for field in named {
+        for field in named_fields(input)? {
             let Some(ident) = &field.ident else { continue };
-            let mut role: Option<&Attribute> = None;
-            for attr in field.attrs.iter().filter(|a| ROLES.iter().any(|r| a.path().is_ident(r))) {
-                if role.replace(attr).is_some() {
-                    return Err(syn::Error::new_spanned(attr, "a field has one role; remove one attribute"));
-                }
-            }
-            let Some(attr) = role else {
-                if is_host(&field.ty) {
+            match role(field)? {
+                Some(attr) => out.add(attr, field, ident)?,
+                None if is_host(&field.ty) => {
                     return Err(syn::Error::new_spanned(
                         field,
                         "a `Host` comes from the host and has no default: mark the field #[host]",
                     ));
                 }
-                out.private.push(ident.clone());
-                continue;
-            };
-            let key = attr.path().get_ident().map(ToString::to_string).unwrap_or_default();
-            misplaced(field, &key)?;
-            let one = inside_many(&field.ty);
-            let frame = Frame::of(&field.attrs)?;
-            let port = |set: PortSettings| Port {
-                ident: ident.clone(),
-                ty: one.unwrap_or(&field.ty).clone(),
-                many: one.is_some(),
-                doc: attrs::docs(&field.attrs),
-                frame,
-                set,
-            };
-            let named = |mut port: Port| -> syn::Result<Port> {
-                if port.set.name.is_empty() {
-                    port.set.name = attrs::name_of(ident)?;
-                }
-                port.set.span.get_or_insert_with(|| ident.span());
-                Ok(port)
-            };
-            match key.as_str() {
-                "input" => {
-                    let allowed = ["name", "optional", "fifo", "format", "max_bytes", "tag"];
-                    out.inputs.push(repeated(port(settings(attr, &allowed)?)).and_then(named)?);
-                }
-                "output" => {
-                    let allowed = ["name", "format", "max_bytes", "tag"];
-                    out.outputs.push(repeated(port(settings(attr, &allowed)?)).and_then(named)?);
-                }
-                "required" => {
-                    let allowed = ["name", "interface", "optional", "unit"];
-                    out.functions.push(named(port(settings(attr, &allowed)?))?);
-                }
-                "event" => out.events.push(named(port(event_settings(attr)?))?),
-                "names" => out.names.push((ident.clone(), interfaces(attr)?)),
-                "state" => out.state.push(Described::of(field, ident)?),
-                "config" => {
-                    if out.config.replace((ident.clone(), field.ty.clone())).is_some() {
-                        return Err(syn::Error::new_spanned(ident, "a component has one #[config] field"));
-                    }
-                }
-                _ => {
-                    if out.host.replace(ident.clone()).is_some() {
-                        return Err(syn::Error::new_spanned(ident, "a component has one #[host] field"));
-                    }
-                }
+                None => out.private.push(ident.clone()),
             }
         }
         Ok(out)
     }
+
+    /// Adds a field that has a role.
+    fn add(&mut self, attr: &Attribute, field: &Field, ident: &Ident) -> syn::Result<()> {
+        let key = attr.path().get_ident().map(ToString::to_string).unwrap_or_default();
+        misplaced(field, &key)?;
+        let frame = Frame::of(&field.attrs)?;
+        let port = |set: PortSettings| Port::of(field, ident, frame, set);
+        match key.as_str() {
+            "input" => {
+                let allowed = ["name", "optional", "fifo", "format", "max_bytes", "tag"];
+                self.inputs.push(repeated(port(settings(attr, &allowed)?)).and_then(Port::named)?);
+            }
+            "output" => {
+                let allowed = ["name", "format", "max_bytes", "tag"];
+                self.outputs.push(repeated(port(settings(attr, &allowed)?)).and_then(Port::named)?);
+            }
+            "required" => {
+                let allowed = ["name", "interface", "optional", "unit"];
+                self.functions.push(port(settings(attr, &allowed)?).named()?);
+            }
+            "event" => self.events.push(port(event_settings(attr)?).named()?),
+            "names" => self.names.push((ident.clone(), interfaces(attr)?)),
+            "state" => self.state.push(Described::of(field, ident)?),
+            "config" => {
+                if self.config.replace((ident.clone(), field.ty.clone())).is_some() {
+                    return Err(syn::Error::new_spanned(ident, "a component has one #[config] field"));
+                }
+            }
+            _ => {
+                if self.host.replace(ident.clone()).is_some() {
+                    return Err(syn::Error::new_spanned(ident, "a component has one #[host] field"));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Port {
+    fn of(field: &Field, ident: &Ident, frame: Frame, set: PortSettings) -> Port {
+        let one = inside_many(&field.ty);
+        Port {
+            ident: ident.clone(),
+            ty: one.unwrap_or(&field.ty).clone(),
+            many: one.is_some(),
+            doc: attrs::docs(&field.attrs),
+            frame,
+            set,
+        }
+    }
+
+    /// Takes the name and the place of the field where the author gives none.
+    fn named(mut self) -> syn::Result<Port> {
+        if self.set.name.is_empty() {
+            self.set.name = attrs::name_of(&self.ident)?;
+        }
+        self.set.span.get_or_insert_with(|| self.ident.span());
+        Ok(self)
+    }
+}
+
+fn named_fields(input: &DeriveInput) -> syn::Result<&Punctuated<Field, syn::Token![,]>> {
+    let Data::Struct(data) = &input.data else {
+        return Err(syn::Error::new_spanned(&input.ident, "a component is a struct"));
+    };
+    match &data.fields {
+        Fields::Named(named) => Ok(&named.named),
+        Fields::Unit | Fields::Unnamed(_) => Err(syn::Error::new_spanned(
+            &input.ident,
+            "a component is a struct with named fields; without any, write `struct Name {}`",
+        )),
+    }
+}
+
+/// Returns the attribute that says the role of a field; none for the author's own fields.
+fn role(field: &Field) -> syn::Result<Option<&Attribute>> {
+    let mut role = None;
+    for attr in field.attrs.iter().filter(|a| ROLES.iter().any(|r| a.path().is_ident(r))) {
+        if role.replace(attr).is_some() {
+            return Err(syn::Error::new_spanned(attr, "a field has one role; remove one attribute"));
+        }
+    }
+    Ok(role)
 }
 
 /// Refuses `#[unit]` and `#[frame]` where they say nothing.

@@ -13,6 +13,7 @@ mod fields;
 mod handles;
 mod interfaces;
 mod many;
+mod methods;
 mod payload;
 mod provides;
 #[cfg(test)]

@@ -171,7 +171,7 @@ pub(crate) fn handlers(required: &Interfaces<'_>) -> TokenStream {
 }
 
 /// Returns, per interface, its members and the code that runs one of them.
-fn parts(
+pub(crate) fn parts(
     group: &[Interface<'_>],
     part: impl Fn(&Interface<'_>) -> Ident,
     members: &str,

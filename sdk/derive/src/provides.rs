@@ -7,6 +7,7 @@ use crate::attrs::{self, Frame};
 use proc_macro2::{Ident, Span, TokenStream};
 use quote::{format_ident, quote, quote_spanned};
 use syn::ext::IdentExt;
+use syn::meta::ParseNestedMeta;
 use syn::parse::{Parse, ParseStream};
 use syn::spanned::Spanned;
 use syn::{Attribute, Expr, FnArg, ImplItem, ItemImpl, LitStr, Meta, Pat, ReturnType, Type};
@@ -163,52 +164,13 @@ fn command(attr: &Attribute, is_read: bool, many: bool, f: &mut syn::ImplItemFn)
         },
     };
     if !matches!(attr.meta, Meta::Path(_)) {
-        attr.parse_nested_meta(|meta| {
-            let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
-            let text = || meta.value()?.parse::<LitStr>();
-            match key.as_str() {
-                "name" => {
-                    let name = text()?;
-                    attrs::check_name(&name.value(), name.span())?;
-                    c.name = name.value();
-                }
-                "unit" => c.ret_unit = attrs::unit(&text()?)?,
-                "overflow" if !is_read => {
-                    let policy = text()?;
-                    c.overflow = policy.value();
-                    if !["reject", "latest_wins", "drop_oldest"].contains(&c.overflow.as_str()) {
-                        return Err(syn::Error::new(
-                            policy.span(),
-                            "overflow is reject, latest_wins or drop_oldest",
-                        ));
-                    }
-                }
-                _ => {
-                    return Err(
-                        meta.error("unknown setting; there are name, unit and, for commands, overflow")
-                    );
-                }
-            }
-            Ok(())
-        })?;
+        attr.parse_nested_meta(|meta| c.setting(&meta))?;
     }
     if c.name.is_empty() {
         c.name = attrs::name_of(&f.sig.ident)?;
     }
     let mut inputs = f.sig.inputs.iter_mut();
-    let first_is_right = match inputs.next() {
-        Some(FnArg::Receiver(r)) => !is_read && r.reference.is_some() && r.mutability.is_some(),
-        Some(FnArg::Typed(_)) => is_read,
-        None => false,
-    };
-    if !first_is_right {
-        let wanted = if is_read {
-            "a read is a pure function of a state row: `fn value(s: &MyState) -> T` (no self)"
-        } else {
-            "a command is `fn name(&mut self[, argument]) [-> result]`"
-        };
-        return Err(syn::Error::new_spanned(&f.sig.ident, wanted));
-    }
+    receiver(inputs.next(), is_read, &c.method)?;
     if many {
         each(&mut inputs, &f.sig.ident)?;
     }
@@ -217,6 +179,21 @@ fn command(attr: &Attribute, is_read: bool, many: bool, f: &mut syn::ImplItemFn)
         return Err(syn::Error::new_spanned(&f.sig.ident, "a read returns a value: add `-> T`"));
     }
     Ok(c)
+}
+
+/// The first parameter: a command changes the component, a read is given a row of its state.
+fn receiver(first: Option<&mut FnArg>, is_read: bool, method: &Ident) -> syn::Result<()> {
+    let right = match first {
+        Some(FnArg::Receiver(r)) => !is_read && r.reference.is_some() && r.mutability.is_some(),
+        Some(FnArg::Typed(_)) => is_read,
+        None => false,
+    };
+    let wanted = if is_read {
+        "a read is a pure function of a state row: `fn value(s: &MyState) -> T` (no self)"
+    } else {
+        "a command is `fn name(&mut self[, argument]) [-> result]`"
+    };
+    if right { Ok(()) } else { Err(syn::Error::new_spanned(method, wanted)) }
 }
 
 /// The `usize` that says which of the repeated interfaces is meant.
@@ -265,25 +242,7 @@ pub(crate) fn argument<'a>(
         set: None,
     };
     for attr in typed.attrs.iter().filter(|a| a.path().is_ident("arg")) {
-        attr.parse_nested_meta(|meta| {
-            let said = Some(meta.path.span());
-            arg.set = said;
-            if meta.path.is_ident("unit") {
-                arg.measured = said;
-                arg.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?;
-            } else if meta.path.is_ident("doc") {
-                arg.doc = meta.value()?.parse::<LitStr>()?.value();
-            } else if meta.path.is_ident("min") {
-                arg.limited = said;
-                arg.min = attrs::number(&meta.value()?.parse::<Expr>()?)?;
-            } else if meta.path.is_ident("max") {
-                arg.limited = said;
-                arg.max = attrs::number(&meta.value()?.parse::<Expr>()?)?;
-            } else {
-                return Err(meta.error("unknown setting; there are unit, min, max and doc"));
-            }
-            Ok(())
-        })?;
+        attr.parse_nested_meta(|meta| arg.setting(&meta))?;
     }
     if let (Ok(min), Ok(max)) = (arg.min.parse::<f64>(), arg.max.parse::<f64>())
         && min > max
@@ -296,6 +255,30 @@ pub(crate) fn argument<'a>(
 }
 
 impl Command {
+    /// One setting of `#[command(…)]` or `#[read(…)]`.
+    fn setting(&mut self, meta: &ParseNestedMeta<'_>) -> syn::Result<()> {
+        let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
+        let text = || meta.value()?.parse::<LitStr>();
+        match key.as_str() {
+            "name" => {
+                let name = text()?;
+                attrs::check_name(&name.value(), name.span())?;
+                self.name = name.value();
+            }
+            "unit" => self.ret_unit = attrs::unit(&text()?)?,
+            "overflow" if !self.is_read => {
+                let policy = text()?;
+                self.overflow = policy.value();
+                if !["reject", "latest_wins", "drop_oldest"].contains(&self.overflow.as_str()) {
+                    let why = "overflow is reject, latest_wins or drop_oldest";
+                    return Err(syn::Error::new(policy.span(), why));
+                }
+            }
+            _ => return Err(meta.error("unknown setting; there are name, unit and, for commands, overflow")),
+        }
+        Ok(())
+    }
+
     fn desc(&self) -> TokenStream {
         let Command { name, doc, is_read, overflow, ret_unit, ret, .. } = self;
         let ret_frame = &self.ret_frame.name;
@@ -345,6 +328,27 @@ impl Command {
 }
 
 impl Argument {
+    /// One setting of `#[arg(…)]`.
+    fn setting(&mut self, meta: &ParseNestedMeta<'_>) -> syn::Result<()> {
+        let said = Some(meta.path.span());
+        self.set = said;
+        if meta.path.is_ident("unit") {
+            self.measured = said;
+            self.unit = attrs::unit(&meta.value()?.parse::<LitStr>()?)?;
+        } else if meta.path.is_ident("doc") {
+            self.doc = meta.value()?.parse::<LitStr>()?.value();
+        } else if meta.path.is_ident("min") {
+            self.limited = said;
+            self.min = attrs::number(&meta.value()?.parse::<Expr>()?)?;
+        } else if meta.path.is_ident("max") {
+            self.limited = said;
+            self.max = attrs::number(&meta.value()?.parse::<Expr>()?)?;
+        } else {
+            return Err(meta.error("unknown setting; there are unit, min, max and doc"));
+        }
+        Ok(())
+    }
+
     pub(crate) fn check_frame(&self) -> TokenStream {
         let ty = &self.ty;
         self.frame.check(&[quote!(::core::option::Option::Some(<#ty as ::trocar_sdk::Payload>::DESC))])
