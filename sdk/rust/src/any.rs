@@ -52,6 +52,7 @@ unsafe impl Send for HeldFrame {}
 unsafe impl Sync for HeldFrame {}
 
 impl HeldFrame {
+    /// The bytes of the frame, in place.
     pub fn bytes(&self) -> &[u8] {
         if self.0.bytes.is_null() {
             return &[];
@@ -116,6 +117,7 @@ impl AnyView<'_> {
         (answer == IN_SAMPLE).then_some(HeldFrame(held))
     }
 
+    /// When the sample was measured or written.
     pub fn stamp(&self) -> Stamp {
         Stamp::from_ns(self.view.stamp_ns)
     }
@@ -165,10 +167,12 @@ impl AnyView<'_> {
 }
 
 impl In<Any> {
+    /// The newest sample, whether seen before or not; none while nothing was written or nobody is connected.
     pub fn latest(&mut self) -> Option<AnyView<'_>> {
         self.any_view(false)
     }
 
+    /// Each sample once, in order (an input with `fifo`).
     #[allow(clippy::should_implement_trait)] // An input is no iterator: it may have more later.
     pub fn next(&mut self) -> Option<AnyView<'_>> {
         self.any_view(true)

@@ -28,24 +28,28 @@ impl<'a> Binder<'a> {
         self.lists
     }
 
+    /// Ties an input to the slot at this position.
     pub fn input<P: Flow<Slot = InSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.input_count as usize, "input slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
         unsafe { port.attach(*self.ports.inputs.add(at), self.tie) }
     }
 
+    /// Ties an output to the slot at this position.
     pub fn output<P: Flow<Slot = OutSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.output_count as usize, "output slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
         unsafe { port.attach(*self.ports.outputs.add(at), self.tie) }
     }
 
+    /// Ties a function to the slot at this position.
     pub fn function<P: Flow<Slot = FnSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.function_count as usize, "function slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
         unsafe { port.attach(*self.ports.functions.add(at), self.tie) }
     }
 
+    /// Ties an event to the slot at this position.
     pub fn event<P: Flow<Slot = EventSlot>>(&self, at: usize, port: &mut P) {
         assert!(at < self.ports.event_count as usize, "event slot {at} does not exist");
         // SAFETY: inside the table; `new` vouches for slot and type.
@@ -57,6 +61,7 @@ impl<'a> Binder<'a> {
 macro_rules! many {
     ($($name:ident, $slot:ty, $table:ident, $count:ident;)*) => {
         impl Binder<'_> {$(
+            /// Ties a repeated port, one for each name, from the slot at `at` on, each `apart` further.
             pub fn $name<P: Flow<Slot = $slot> + Default>(
                 &self, at: usize, apart: usize, names: &[String], many: &mut Many<P>,
             ) {

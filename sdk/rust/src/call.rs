@@ -22,6 +22,7 @@ use trocar_plugin_api::desc::{CommandKind, TypeDesc};
     note = "a struct of one's own needs `#[derive(Payload, Clone, Copy)] #[repr(C)]`"
 )]
 pub unsafe trait Value: Copy + Send + Sync + 'static {
+    /// The description of the type; none for `()`.
     const DESC: Option<&'static TypeDesc>;
     /// A value to be written over.
     fn blank() -> Self;
@@ -65,6 +66,7 @@ unsafe impl Value for () {
 
 /// Result of a command or read: a value, nothing, or a `Result` of these with an error that can be shown.
 pub trait Answer {
+    /// The value that travels to the caller; `()` for none.
     type Value: Value;
     #[doc(hidden)]
     fn settle(self) -> Result<Self::Value, impl Display>;

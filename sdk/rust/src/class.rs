@@ -24,6 +24,7 @@ use trocar_plugin_api::desc::ClassDesc;
     note = "put `#[derive(Component)]` on the struct"
 )]
 pub unsafe trait Class: Component + Send + Sized + 'static {
+    /// The description that the manifest is written from.
     const DESC: &'static ClassDesc;
     /// One row of the state table: the `#[state]` fields.
     type State: Payload;

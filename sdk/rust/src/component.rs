@@ -19,6 +19,7 @@ pub trait Component {
     fn start(&mut self) -> Result {
         Ok(())
     }
+    /// Ends the run: on Stop, after the last step. Run-time state stays, for `resume`.
     fn stop(&mut self) -> Result {
         Ok(())
     }

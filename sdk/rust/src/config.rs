@@ -13,7 +13,10 @@ pub type JsonObject = Map<String, Value>;
 
 /// A configuration struct: made by `#[derive(Config)]`.
 pub trait Config: Sized + Send + 'static {
+    /// The fields in the order of their declaration, as the manifest describes them.
     const FIELDS: &'static [ConfigFieldDesc];
+    /// Reads the whole configuration; a field left out has its default.
+    ///
     /// # Errors
     /// Names the field, what is wrong with it and what it may be.
     fn parse(object: &JsonObject) -> Result<Self>;

@@ -38,13 +38,17 @@ pub struct AnyType {
 /// Command that an untyped function is bound to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnyCommand {
+    /// The command's name within its interface.
     pub name: String,
     /// "void", "write", "read", "qualified_read", "void_return", "write_return".
     pub kind: String,
+    /// The argument's type; none without one.
     pub arg: Option<AnyType>,
+    /// The result's type; none without one.
     pub ret: Option<AnyType>,
     /// Units of the argument and of the result, empty without.
     pub arg_unit: String,
+    /// Unit of the result, empty without.
     pub ret_unit: String,
 }
 

@@ -24,12 +24,14 @@ pub struct FrameView<'a, H> {
 }
 
 impl<H: Payload> FrameView<'_, H> {
+    /// The header, in place.
     pub fn header(&self) -> &H {
         // SAFETY: `In::frame` checked null and alignment; the slot gives a value of `H` while the view
         // borrows the input.
         unsafe { &*self.view.header.cast::<H>() }
     }
 
+    /// The bytes of the frame, in place.
     pub fn bytes(&self) -> &[u8] {
         if self.view.bytes.is_null() {
             return &[];
@@ -51,6 +53,7 @@ impl<H: Payload> FrameView<'_, H> {
         Some(unsafe { core::slice::from_raw_parts_mut(ptr, self.view.len as usize) })
     }
 
+    /// When the frame was taken or made.
     pub fn stamp(&self) -> Stamp {
         Stamp::from_ns(self.view.stamp_ns)
     }
@@ -112,11 +115,13 @@ pub struct FrameLoan<'a, H> {
 }
 
 impl<H: Payload> FrameLoan<'_, H> {
+    /// The header as it is filled so far: at first zeros, or that of an older frame.
     pub fn header(&self) -> &H {
         // SAFETY: `loan` checked null and alignment; the memory is lent until commit or cancel.
         unsafe { &*self.loan.header.cast::<H>() }
     }
 
+    /// The header to be filled.
     pub fn header_mut(&mut self) -> &mut H {
         // SAFETY: as in `header`; `&mut self` makes it the only reference.
         unsafe { &mut *self.loan.header.cast::<H>() }

@@ -15,13 +15,17 @@ use trocar_plugin_api::desc::TypeDesc;
 
 /// Questions of the derive to a function field.
 pub trait FunctionPort {
+    /// The argument's type; none without one, and for an untyped function.
     const ARG: Option<&'static TypeDesc>;
+    /// The result's type; none without one, and for an untyped function.
     const RET: Option<&'static TypeDesc>;
+    /// The function takes the types of the command it is connected to.
     const ANY: bool;
 }
 
 /// Questions of the derive to an event field.
 pub trait EventPort {
+    /// The payload's type; none for an event that carries nothing.
     const PAYLOAD: Option<&'static TypeDesc>;
 }
 

@@ -24,6 +24,7 @@ pub enum GeometryError {
         field: &'static str,
         /// Place in the field, from 0.
         at: usize,
+        /// The number itself.
         value: f64,
     },
     /// The orientation is no unit quaternion.
@@ -32,7 +33,14 @@ pub enum GeometryError {
         orientation: [f64; 4],
     },
     /// Another number of joints.
-    Joints { field: &'static str, have: usize, want: usize },
+    Joints {
+        /// The field: "position", "velocity".
+        field: &'static str,
+        /// Joints in the payload.
+        have: usize,
+        /// Joints that were asked for.
+        want: usize,
+    },
 }
 
 impl fmt::Display for GeometryError {
@@ -157,6 +165,7 @@ impl Wrench {
 /// A pose at another time than its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Carried {
+    /// The pose at that time.
     pub isometry: Isometry3<f64>,
     /// True: the pose was carried all the way. False: the time lies further than [`CARRIED_S`] from the
     /// stamp, or there is none, and the pose stands where it had been carried to.

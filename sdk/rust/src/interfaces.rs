@@ -10,11 +10,15 @@ use trocar_plugin_api::desc::{CommandDesc, CommandKind, HandlerDesc};
 
 /// Content of `#[provides]` for one interface of class `C`.
 pub struct ProvidedPart<C: Class> {
+    /// The documentation of the `impl` block.
     pub doc: &'static str,
+    /// "truth", "sim" or empty.
     pub tag: &'static str,
+    /// Descriptions of the commands and reads, by their ids.
     pub commands: &'static [CommandDesc],
     /// Id within the interface; which of the repeated interfaces, 0 for a fixed one.
     pub command: fn(&mut C, u32, usize, &mut Call) -> Status,
+    /// The same for reads, from a row of the state table.
     pub read: fn(&C::State, u32, usize, &mut Call) -> Status,
 }
 
@@ -31,8 +35,11 @@ impl<C: Class> ProvidedPart<C> {
 
 /// Content of `#[handles]` for one required interface of class `C`.
 pub struct HandlesPart<C: Class> {
+    /// The documentation of the `impl` block.
     pub doc: &'static str,
+    /// Descriptions of the handlers, by their ids.
     pub handlers: &'static [HandlerDesc],
+    /// Id within the interface; which of the repeated interfaces, 0 for a fixed one.
     pub on_event: fn(&mut C, u32, usize, &mut Call) -> Status,
 }
 

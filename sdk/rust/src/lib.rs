@@ -5,6 +5,8 @@
 //! `#![forbid(unsafe_code)]`. The whole way from an idea to a running component is `docs/PLUGIN_GUIDE.md`;
 //! `docs/PLUGIN_REFERENCE.md` has what a component can have.
 
+#![deny(missing_docs)]
+
 // Makes the derives' `::trocar_sdk` mean this crate here, too.
 extern crate self as trocar_sdk;
 

@@ -7,9 +7,13 @@ use crate::names::Names;
 
 /// The lists of a class, one per repeated port or interface of its description.
 pub struct Lists<'a> {
+    /// Lists of repeated inputs.
     pub inputs: Vec<&'a Names>,
+    /// Lists of repeated outputs.
     pub outputs: Vec<&'a Names>,
+    /// Lists of repeated required interfaces.
     pub required: Vec<&'a Names>,
+    /// Lists of repeated provided interfaces.
     pub provided: Vec<&'a Names>,
 }
 
@@ -17,9 +21,13 @@ pub struct Lists<'a> {
 /// time: ids and slots are counted by these.
 #[derive(Clone, Default)]
 pub struct Layout {
+    /// Names of each repeated input.
     pub inputs: Vec<Vec<String>>,
+    /// Names of each repeated output.
     pub outputs: Vec<Vec<String>>,
+    /// Names of each repeated required interface.
     pub required: Vec<Vec<String>>,
+    /// Names of each repeated provided interface.
     pub provided: Vec<Vec<String>>,
 }
 

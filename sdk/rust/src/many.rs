@@ -100,22 +100,27 @@ impl<P> Many<P> {
         self.names.set(names)
     }
 
+    /// The list of names behind the ports.
     pub fn names(&self) -> &Names {
         &self.names
     }
 
+    /// Number of ports.
     pub fn len(&self) -> usize {
         self.ports.len()
     }
 
+    /// True when there is no port.
     pub fn is_empty(&self) -> bool {
         self.ports.is_empty()
     }
 
+    /// The port at a position of the list; none beyond it.
     pub fn get(&self, at: usize) -> Option<&P> {
         self.ports.get(at)
     }
 
+    /// The port at a position of the list, to be used; none beyond it.
     pub fn get_mut(&mut self, at: usize) -> Option<&mut P> {
         self.ports.get_mut(at)
     }
@@ -125,6 +130,7 @@ impl<P> Many<P> {
         self.ports.get(self.names.position(name)?)
     }
 
+    /// The port of this name, to be used.
     pub fn named_mut(&mut self, name: &str) -> Option<&mut P> {
         self.ports.get_mut(self.names.position(name)?)
     }
@@ -134,14 +140,17 @@ impl<P> Many<P> {
         self.names.iter().zip(&self.ports)
     }
 
+    /// Names and ports to be used, in the order of the list.
     pub fn iter_mut(&mut self) -> impl ExactSizeIterator<Item = (&str, &mut P)> {
         self.names.iter().zip(&mut self.ports)
     }
 
+    /// The ports alone, in the order of the list.
     pub fn ports(&self) -> impl ExactSizeIterator<Item = &P> {
         self.ports.iter()
     }
 
+    /// The ports alone, to be used, in the order of the list.
     pub fn ports_mut(&mut self) -> impl ExactSizeIterator<Item = &mut P> {
         self.ports.iter_mut()
     }

@@ -80,14 +80,17 @@ impl Names {
         self.bound.len()
     }
 
+    /// True when no name is in force.
     pub fn is_empty(&self) -> bool {
         self.bound.is_empty()
     }
 
+    /// The names in force, in the order of the list.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &str> {
         self.bound.iter().map(String::as_str)
     }
 
+    /// The name at a position; none beyond the list.
     pub fn get(&self, at: usize) -> Option<&str> {
         self.bound.get(at).map(String::as_str)
     }

@@ -8,20 +8,27 @@ use trocar_plugin_api::abi;
 /// The outcome of `send`, `call`, `emit`, `write`, `commit`. `Executed` and `Queued` are success.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Outcome {
+    /// The callee has done it.
     Executed,
+    /// It waits in the peer's queue.
     Queued,
     /// No peer is connected.
     Unbound,
+    /// The peer's queue is full; nothing was sent.
     QueueFull,
     /// Waiting is not allowed on this thread.
     WouldBlock,
+    /// The command is not among its component's ports any more, or the host is too old for the call.
     Disabled,
+    /// The argument is outside its limits, or its size is not the type's.
     InvalidArgument,
     /// The command ran and failed.
     Failed,
     /// No answer in time.
     Deadline,
+    /// The peer's process, or its thread, is lost.
     PeerLost,
+    /// The peer's component is not ACTIVE.
     NotActive,
     /// The frame pool has no free slot.
     Exhausted,
@@ -80,6 +87,7 @@ impl fmt::Display for Outcome {
 /// Why a `call` gave no result.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct CallError {
+    /// Never `Executed` or `Queued`.
     pub outcome: Outcome,
     /// The peer's own sentence, empty when it gave none.
     pub reason: String,

@@ -48,6 +48,7 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
             without an attribute"
 )]
 pub unsafe trait Payload: Copy + Send + Sync + 'static {
+    /// The layout: size, alignment, fields with their units.
     const DESC: &'static TypeDesc;
     /// Format of the bytes behind this header when it heads a frame ("image", "spectra"), else empty.
     const FORMAT: &'static str = "";

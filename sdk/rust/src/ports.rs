@@ -39,7 +39,9 @@ impl<T> Default for In<T> {
 /// One plain sample with what the host knows about it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<T> {
+    /// The value, as the output wrote it.
     pub value: T,
+    /// When the value was measured or written.
     pub stamp: Stamp,
     /// Counts the writes of the output, from 1; a gap is exactly what was dropped on the way.
     pub seq: u64,

@@ -16,6 +16,8 @@ use std::sync::Arc;
 /// never waits, also for no lock that the component holds while it talks to the device. A panic is contained
 /// and counts as failed.
 pub trait MakeSafe: Send + Sync + 'static {
+    /// Brings the device to its safe condition, once more if it is there. Any thread; short, never waits.
+    ///
     /// # Errors
     /// Why the device is not at rest; an actuator is then in FAULT with this sentence.
     fn make_safe(&self) -> Result;

@@ -91,6 +91,8 @@ impl Services<'_> {
         self.ask("Connect", json!({ "client": client, "server": server }))
     }
 
+    /// Takes the connection between a client end and a server end away.
+    ///
     /// # Errors
     /// The host's outcome.
     pub fn disconnect(&self, client: &str, server: &str) -> Token {
@@ -153,6 +155,7 @@ of_one_path! {
 pub struct ServiceReply {
     /// Token that the request returned.
     pub token: u64,
+    /// The system did it; otherwise `reason`, `message` and `help` say why not.
     pub ok: bool,
     /// The gRPC response as JSON; null when refused.
     pub response: Json,

@@ -51,6 +51,7 @@ struct Beside {
 pub struct Export<C>(PhantomData<C>);
 
 impl<C: Class> Export<C> {
+    /// The entries of `C` behind the C ABI.
     pub const TABLE: &'static ClassTable = &ClassTable {
         struct_size: size_of::<ClassTable>() as u32,
         flags: 0,

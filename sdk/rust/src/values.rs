@@ -13,18 +13,22 @@ use trocar_plugin_api::desc::{Prim, TypeDesc, TypeKind};
 pub struct Stamp(u64);
 
 impl Stamp {
+    /// No time: what an invalid stamp is.
     pub const INVALID: Stamp = Stamp(0);
 
+    /// The stamp of this many ns on the host's monotonic clock.
     #[inline]
     pub const fn from_ns(ns: u64) -> Stamp {
         Stamp(ns)
     }
 
+    /// The time in ns on the host's monotonic clock; 0 = invalid.
     #[inline]
     pub const fn ns(self) -> u64 {
         self.0
     }
 
+    /// Tells whether this is a time: 0 is none.
     #[inline]
     pub const fn is_valid(self) -> bool {
         self.0 != 0
@@ -64,9 +68,12 @@ unsafe impl Payload for Stamp {
 pub struct Flag(u8);
 
 impl Flag {
+    /// The byte 0.
     pub const FALSE: Flag = Flag(0);
+    /// The byte 1.
     pub const TRUE: Flag = Flag(1);
 
+    /// The truth value; any byte but 0 is true.
     #[inline]
     pub const fn get(self) -> bool {
         self.0 != 0
@@ -146,6 +153,7 @@ impl<T: Payload, const N: usize> List<T, N> {
 }
 
 impl<T, const N: usize> List<T, N> {
+    /// Number of items; never above `N`, whatever the bytes say.
     #[inline]
     #[allow(clippy::len_without_is_empty)] // `is_empty` comes from the slice behind Deref.
     pub fn len(&self) -> usize {

@@ -16,7 +16,9 @@ pub enum Use {
 /// A name of the convention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Name {
+    /// The name itself, such as "measured_js".
     pub name: &'static str,
+    /// The form in which a device offers it.
     pub used_as: Use,
     /// The standard payload, as in [`crate::data`]; empty for none.
     pub payload: &'static str,

@@ -36,6 +36,8 @@ pub const STATE_COMMANDS: [(&str, StateCommand); 6] = [
 ];
 
 impl StateCommand {
+    /// Reads the word of a command.
+    ///
     /// # Errors
     /// A word that is no CRTK state command.
     pub fn parse(word: &str) -> Result<Self, Refused> {
@@ -43,6 +45,7 @@ impl StateCommand {
         found.map(|(_, command)| *command).ok_or(Refused::NoSuchWord { word: Text::new(word) })
     }
 
+    /// The word of the command, such as "enable".
     pub fn word(self) -> &'static str {
         STATE_COMMANDS.iter().find(|(_, command)| *command == self).map_or("", |(word, _)| *word)
     }
@@ -78,6 +81,7 @@ impl OperatingStateMachine {
     pub const INITIAL: Self =
         OperatingStateMachine { mode: OperatingMode::DISABLED, is_homed: false, is_busy: false };
 
+    /// The state now.
     pub const fn mode(self) -> OperatingMode {
         self.mode
     }
@@ -205,9 +209,17 @@ fn line(what: &dyn Display) -> Text<128> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Refused {
     /// No CRTK state command.
-    NoSuchWord { word: Text<32> },
+    NoSuchWord {
+        /// The word that came, as much of it as fits.
+        word: Text<32>,
+    },
     /// Not allowed in this state.
-    NotNow { from: OperatingStateMachine, command: StateCommand },
+    NotNow {
+        /// The state in which the command came.
+        from: OperatingStateMachine,
+        /// The command that is refused.
+        command: StateCommand,
+    },
 }
 
 impl Display for Refused {

@@ -2,6 +2,10 @@
 //!
 //! Invariant: a part that is not seen or not there keeps stamp 0 or is absent from its list; nobody reads an
 //! old value as a new one.
+#![allow(
+    missing_docs,
+    reason = "the docs of fields go into every manifest: a field has one where name, type and unit do not say it all"
+)]
 
 use crate as trocar_sdk;
 use trocar_sdk::data::Pose;

@@ -2,6 +2,10 @@
 //!
 //! Invariant: rows are `stride` bytes apart; the image that a header describes lies in the frame's bytes, or
 //! the reader drops the frame: `FrameView::image` and `images` check it.
+#![allow(
+    missing_docs,
+    reason = "the docs of fields go into every manifest: a field has one where name, type and unit do not say it all"
+)]
 
 use crate as trocar_sdk;
 use trocar_sdk::{Payload, Stamp, named_values};
@@ -9,10 +13,15 @@ use trocar_sdk::{Payload, Stamp, named_values};
 named_values! {
     /// Pixel formats; rows are `stride` bytes apart.
     pub struct PixelFormat: u32 {
+        /// u8 brightness.
         GRAY8 = 1,
+        /// u8 red, green, blue.
         RGB8 = 2,
+        /// u8 blue, green, red.
         BGR8 = 3,
+        /// u8 red, green, blue, opacity.
         RGBA8 = 4,
+        /// u16 brightness.
         GRAY16 = 5,
         /// One value per pixel behind a colour filter: rows R G R G … and G B G B …, beginning with R.
         BAYER_RG8 = 6,

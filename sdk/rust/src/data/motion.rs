@@ -3,6 +3,10 @@
 //! Invariant: a part whose stamp is 0 is not measured, whatever its numbers are (CRTK); empty joint lists are
 //! absent, and all lists that are not empty have one length. Source: A. Su et al., "Collaborative Robotics
 //! Toolkit (CRTK)", IEEE IRC 2020.
+#![allow(
+    missing_docs,
+    reason = "the docs of fields go into every manifest: a field has one where name, type and unit do not say it all"
+)]
 
 use crate as trocar_sdk;
 use trocar_sdk::{Flag, List, Payload, Stamp, Text, named_values};
@@ -26,7 +30,12 @@ pub struct JointState {
 
 named_values! {
     /// Kind of a joint; decides the unit of its values.
-    pub struct JointKind: u32 { PRISMATIC = 1, REVOLUTE = 2 }
+    pub struct JointKind: u32 {
+        /// Moves along its axis: m, m/s, N.
+        PRISMATIC = 1,
+        /// Turns about its axis: rad, rad/s, N·m.
+        REVOLUTE = 2,
+    }
 }
 
 /// Names, kinds and limits of the joints (CRTK `configuration_js`), one item per joint in each list.

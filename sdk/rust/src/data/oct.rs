@@ -3,6 +3,10 @@
 //!
 //! Invariant: a frame holds whole lines only: `lines` times `samples` values, line after line, in the
 //! machine's byte order; `FrameView::lines` checks it.
+#![allow(
+    missing_docs,
+    reason = "the docs of fields go into every manifest: a field has one where name, type and unit do not say it all"
+)]
 
 use crate as trocar_sdk;
 use trocar_sdk::{Flag, Payload, Stamp, named_values};

@@ -66,6 +66,7 @@ impl<'a> ImageView<'a> {
         self.stride as usize
     }
 
+    /// Format of the pixels.
     pub fn format(&self) -> PixelFormat {
         self.format
     }
@@ -250,27 +251,66 @@ impl FrameView<'_, AScanHeader> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadFrame {
     /// None of [`PixelFormat`].
-    PixelFormat { format: u32 },
+    PixelFormat {
+        /// The header's number.
+        format: u32,
+    },
     /// None of [`SampleFormat`].
-    SampleFormat { format: u32 },
+    SampleFormat {
+        /// The header's number.
+        format: u32,
+    },
     /// No width or no height, px.
-    NoPixels { width: u32, height: u32 },
+    NoPixels {
+        /// Columns, px.
+        width: u32,
+        /// Rows, px.
+        height: u32,
+    },
     /// Lines with nothing in them.
-    NoSamples { lines: u32 },
+    NoSamples {
+        /// Number of lines.
+        lines: u32,
+    },
     /// Rows would lie in each other: `stride` B are less than `width` px.
-    Stride { width: u32, format: PixelFormat, stride: u32 },
+    Stride {
+        /// Columns, px.
+        width: u32,
+        /// Format of the pixels.
+        format: PixelFormat,
+        /// From one row to the next, B.
+        stride: u32,
+    },
     /// The image that begins at `offset` would end at byte `needs`, and there are `bytes`.
     ImageBeyond {
+        /// Columns, px.
         width: u32,
+        /// Rows, px.
         height: u32,
+        /// Format of the pixels.
         format: PixelFormat,
+        /// From one row to the next, B.
         stride: u32,
+        /// Where the image begins, B.
         offset: u64,
+        /// Where the image ends, B.
         needs: u128,
+        /// Size of the frame, B.
         bytes: usize,
     },
     /// The lines would need `needs` B, and there are `bytes`.
-    LinesBeyond { lines: u32, samples: u32, format: SampleFormat, needs: u128, bytes: usize },
+    LinesBeyond {
+        /// Number of lines.
+        lines: u32,
+        /// Values of one line.
+        samples: u32,
+        /// Format of one value.
+        format: SampleFormat,
+        /// Size of the lines, B.
+        needs: u128,
+        /// Size of the frame, B.
+        bytes: usize,
+    },
 }
 
 impl fmt::Display for BadFrame {

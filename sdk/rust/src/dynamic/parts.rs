@@ -18,24 +18,35 @@ pub enum AnyShape<'a> {
     Number(&'static str),
     /// Named integers, carried by this number.
     Enum {
+        /// The integer's primitive, such as "u32".
         number: &'static str,
+        /// Names and their numbers.
         values: &'a [(String, i64)],
     },
+    /// Items side by side.
     Array {
+        /// Type of one item.
         item: AnyPart<'a>,
+        /// Number of items.
         n: usize,
     },
     /// A length as u64, then room for `n` items.
     List {
+        /// Type of one item.
         item: AnyPart<'a>,
+        /// Most items.
         n: usize,
     },
     /// A length in bytes as u64, then room for `n` bytes of UTF-8.
     Text {
+        /// Most bytes.
         n: usize,
     },
+    /// Fields, each at its own place.
     Struct {
+        /// The struct's name.
         name: &'a str,
+        /// The fields in the order of their declaration.
         fields: Vec<AnyField<'a>>,
     },
 }
@@ -43,11 +54,13 @@ pub enum AnyShape<'a> {
 /// A field of a struct.
 #[derive(Clone, Copy, Debug)]
 pub struct AnyField<'a> {
+    /// The field's name.
     pub name: &'a str,
     /// Bytes from the begin of the struct.
     pub at: usize,
     /// Empty without one.
     pub unit: &'a str,
+    /// The field's type.
     pub part: AnyPart<'a>,
 }
 
@@ -64,6 +77,7 @@ impl<'a> AnyPart<'a> {
         self.node.size
     }
 
+    /// Kind of this part, with the parts inside it. Allocates for a struct.
     pub fn shape(&self) -> AnyShape<'a> {
         match &self.node.shape {
             Shape::Prim(prim) => AnyShape::Number(prim.name()),

@@ -58,9 +58,13 @@ pub(crate) type Done = Result<(), Failure>;
 /// State of the component, as `trocar ls` would say it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Life {
+    /// Made and not configured.
     Created,
+    /// Configured, not started.
     Ready,
+    /// Started: it steps.
     Active,
+    /// Stopped; `resume` and `start` lead on.
     Stopped,
     /// An entry failed or panicked; only `reset` leads on.
     Fault,

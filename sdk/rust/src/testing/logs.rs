@@ -9,9 +9,11 @@ use std::cell::RefCell;
 /// A line the component logged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLine {
+    /// The level it was logged at.
     pub level: log::Level,
     /// The Rust module, unless the line names another.
     pub target: String,
+    /// The text, cut at 512 bytes as a host's log cuts it.
     pub message: String,
 }
 

@@ -23,6 +23,8 @@ impl<C: Class> Bench<C> {
         }
     }
 
+    /// One step at its deadline.
+    ///
     /// # Errors
     /// The component's sentence; as in a host, it was made safe and is in FAULT now. Or the component is not
     /// ACTIVE: then no time passes, and nothing is stepped.

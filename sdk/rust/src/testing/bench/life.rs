@@ -50,6 +50,8 @@ impl<C: Class> Bench<C> {
         Ok(())
     }
 
+    /// Starts the component.
+    ///
     /// # Errors
     /// The component's sentence; it was made safe then and is in FAULT, as everywhere below. Or the component
     /// is not READY or STOPPED.
@@ -80,6 +82,8 @@ impl<C: Class> Bench<C> {
         safe.or_else(|e| if self.life == Life::Fault { Err(e) } else { Ok(()) })
     }
 
+    /// Lets a stopped component go on with its run-time state.
+    ///
     /// # Errors
     /// The component's sentence, or that it is not STOPPED.
     #[track_caller]
@@ -111,6 +115,8 @@ impl<C: Class> Bench<C> {
         self.make_safe()
     }
 
+    /// Calls `make_safe` in any state.
+    ///
     /// # Errors
     /// The component's sentence; an actuator that could not be made safe is in FAULT.
     pub fn make_safe(&mut self) -> Done {
