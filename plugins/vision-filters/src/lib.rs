@@ -15,6 +15,7 @@ pub mod remap;
 pub mod resize;
 pub mod scale;
 mod simd;
+mod tap;
 pub mod view;
 
 pub use trocar_imaging::debayer;

@@ -5,24 +5,8 @@
 //! bytes of the input.
 
 use crate::simd::{self, Avx2};
+use crate::tap::{STEPS, Tap};
 use crate::view::{Format, Shape, View, ViewMut};
-
-/// Steps between two input pixels.
-pub(crate) const STEPS: i32 = 32;
-
-/// Where an output pixel comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(C)]
-pub(crate) struct Tap {
-    /// Column of the left upper one of the four input pixels.
-    pub(crate) x: i16,
-    /// Its row.
-    pub(crate) y: i16,
-    /// How far to the right of it, 1/32 px.
-    pub(crate) fx: u8,
-    /// How far below it.
-    pub(crate) fy: u8,
-}
 
 /// Output pixels of a row that are made in the same way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

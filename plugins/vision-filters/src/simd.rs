@@ -9,7 +9,7 @@ use core::arch::x86_64::*;
 
 pub(crate) use trocar_imaging::simd::Avx2;
 
-use crate::remap::Tap;
+use crate::tap::Tap;
 
 /// Makes RGB pixels of `taps`, all of them inside of `bytes`, rows of which begin every `stride` bytes. Says
 /// how many were made: whole fours, and none where a tap is not inside after all.

@@ -8,7 +8,6 @@ use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
 use super::pair::{self, Tally, Unfit};
-use super::pip::PipRect;
 use crate::resize::{Method, Resizer};
 use crate::view::{Format, Shape, View, ViewMut};
 
@@ -85,15 +84,14 @@ impl Scaled {
         (self.most, self.last) = (most, None);
     }
 
-    /// Both images of the inset in the size that is asked for; none when it cannot be shown, which `tally`
-    /// tells once.
+    /// Both images of the inset in the size that is asked for, columns and rows (0: as it came); none when it
+    /// cannot be shown, which `tally` tells once.
     pub(super) fn ready<'a>(
         &'a mut self,
         given: &Given<'a>,
-        rect: &PipRect,
+        asked: [u32; 2],
         tally: &mut Tally,
     ) -> Option<[View<'a>; 2]> {
-        let asked = [rect.w, rect.h];
         let known =
             self.last.filter(|(which, size, _)| !given.fresh && *which == given.which && *size == asked);
         let kept = match known {

@@ -191,7 +191,7 @@ impl Component for Pip {
             let given = pair.as_ref().map(Given::pair).or_else(|| one.as_ref().map(Given::picture));
             let came = given.as_ref().map_or([0; 2], Given::size);
             let rect = PipRect { h: self.cfg.height(came, rect.w, rect.h), ..rect };
-            let inset = given.and_then(|given| self.scaled.ready(&given, &rect, &mut self.insets));
+            let inset = given.and_then(|given| self.scaled.ready(&given, [rect.w, rect.h], &mut self.insets));
             self.inset_shown = inset.is_some().into();
             let cfg = &self.cfg;
             let change = inset.map(|inset| {
