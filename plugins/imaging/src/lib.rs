@@ -20,6 +20,7 @@ pub mod waits;
 #[path = "../../../tests/src/watchdog.rs"]
 #[allow(unreachable_pub, reason = "it is public where it lies")]
 mod watchdog;
+mod weights;
 pub mod yuyv;
 
 pub use calibration::{Calibration, CalibrationError};

@@ -4,13 +4,11 @@
 //! itself.
 
 use crate::simd::Avx2;
-
-/// Weights of red, green, blue in 1/256.
-pub(crate) const WEIGHTS: [u16; 3] = [77, 150, 29];
+use crate::weights::LUMA;
 
 /// Brightness of one pixel.
 pub fn luma(red: u8, green: u8, blue: u8) -> u8 {
-    let [r, g, b] = WEIGHTS;
+    let [r, g, b] = LUMA;
     ((r * u16::from(red) + g * u16::from(green) + b * u16::from(blue) + 128) >> 8) as u8
 }
 

@@ -51,7 +51,7 @@ fn luma_avx2(rgb: &[u8], gray: &mut [u8]) -> usize {
     // gives 0.
     let z = -128i8;
     let split = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 3, 4, 6, 7, 9, 10, 2, z, 5, z, 8, z, 11, z));
-    let [r, g, b] = crate::luma::WEIGHTS.map(|w| w as u8 as i8);
+    let [r, g, b] = crate::weights::LUMA.map(|w| w as u8 as i8);
     let weights = _mm256_broadcastsi128_si256(_mm_setr_epi8(r, g, r, g, r, g, r, g, b, 0, b, 0, b, 0, b, 0));
     let sign = _mm256_set1_epi8(z);
     let half = _mm256_set1_epi16(128);
@@ -103,7 +103,7 @@ pub(crate) fn yuyv(_: Avx2, _: &[u8], _: bool, _: &mut [u8]) -> usize {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn yuyv_avx2(src: &[u8], bgr: bool, dst: &mut [u8]) -> usize {
-    use crate::yuyv::{BU, GU, GV, RV, Y};
+    use crate::weights::{BU, GU, GV, RV, Y};
     let z = -1i8;
     let bright = _mm_setr_epi8(0, 2, 4, 6, 8, 10, 12, 14, z, z, z, z, z, z, z, z);
     let blueish = _mm_setr_epi8(1, 1, 5, 5, 9, 9, 13, 13, z, z, z, z, z, z, z, z);

@@ -4,6 +4,7 @@
 //! point.
 
 use crate::simd::{self, Avx2};
+use crate::weights::{BU, GU, GV, RV, Y};
 
 /// Red, green, blue (`bgr`: blue, green, red) of a row of YUYV; `lanes` as of [`Avx2::detect`]. The shorter
 /// of the two rows decides how many pixels; of an odd number the last one takes the colour of the one before.
@@ -26,13 +27,6 @@ pub fn row(lanes: Option<Avx2>, src: &[u8], bgr: bool, dst: &mut [u8]) {
         *last = order(pixel(*y, *u, before));
     }
 }
-
-// 255/219, and 1.596, 0.813, 0.391, 2.018 of the standard, times 2^20.
-pub(crate) const Y: i32 = 1_220_542;
-pub(crate) const RV: i32 = 1_673_527;
-pub(crate) const GV: i32 = -852_492;
-pub(crate) const GU: i32 = -409_993;
-pub(crate) const BU: i32 = 2_116_026;
 
 /// Full range red, green, blue of one pixel in video range.
 #[inline(always)]
