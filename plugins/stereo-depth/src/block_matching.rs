@@ -7,8 +7,8 @@
 #[path = "block_matching/plain.rs"]
 mod plain;
 #[cfg(target_arch = "x86_64")]
-#[path = "block_matching/wide.rs"]
-pub(crate) mod wide;
+#[path = "block_matching/simd.rs"]
+mod simd;
 
 use trocar_imaging::simd::Avx2;
 
@@ -17,7 +17,9 @@ use crate::disparity::NONE;
 use crate::prefilter::CAP;
 use crate::rows::{BlockRow, Found, margin};
 use crate::settings::Settings;
-use crate::simd;
+#[cfg(target_arch = "x86_64")]
+use crate::simd::Block;
+use crate::simd::sobel_row;
 
 /// Block matching of images of one size; all memory is made at once.
 pub(crate) struct BlockMatching {
@@ -42,7 +44,7 @@ pub(crate) struct BlockMatching {
 enum Columns {
     Plain(plain::Columns),
     #[cfg(target_arch = "x86_64")]
-    Wide(Avx2, Vec<[simd::Block; 2]>),
+    Wide(Avx2, Vec<[Block; 2]>),
 }
 
 impl BlockMatching {
@@ -52,7 +54,7 @@ impl BlockMatching {
         let right = width + margin(n_disp);
         let columns = match lanes {
             #[cfg(target_arch = "x86_64")]
-            Some(lanes) => Columns::Wide(lanes, vec![[simd::Block::ZERO; 2]; width * n_disp / 32]),
+            Some(lanes) => Columns::Wide(lanes, vec![[Block::ZERO; 2]; width * n_disp / 32]),
             _ => Columns::Plain(plain::Columns::new(width, n_disp)),
         };
         BlockMatching {
@@ -84,7 +86,7 @@ impl BlockMatching {
             let around = |image, flip, to: &mut [u8]| {
                 let row = |y: usize| row_of(image, width, y);
                 let rows = [row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1))];
-                simd::sobel_row(self.lanes, rows, flip, to);
+                sobel_row(self.lanes, rows, flip, to);
             };
             around(left, false, &mut self.left[slot * width..][..width]);
             around(mirrored, true, &mut self.right[slot * right_width..][..width]);
@@ -104,7 +106,7 @@ impl BlockMatching {
                 Columns::Plain(columns) => columns.row(&row, &mut self.found),
                 #[cfg(target_arch = "x86_64")]
                 Columns::Wide(lanes, columns) => {
-                    simd::block_row(*lanes, n_disp / 32, columns, &row, &mut self.found);
+                    simd::row(*lanes, n_disp / 32, columns, &row, &mut self.found);
                 }
             }
             if !full {
@@ -122,7 +124,7 @@ impl BlockMatching {
         match &mut self.columns {
             Columns::Plain(columns) => columns.reset(),
             #[cfg(target_arch = "x86_64")]
-            Columns::Wide(_, columns) => columns.fill([simd::Block::ZERO; 2]),
+            Columns::Wide(_, columns) => columns.fill([Block::ZERO; 2]),
         }
         self.contrast.fill(0);
         // Pixels too near to the side for a window are never written.

@@ -8,8 +8,8 @@
 #[path = "semi_global/plain.rs"]
 mod plain;
 #[cfg(target_arch = "x86_64")]
-#[path = "semi_global/wide.rs"]
-pub(crate) mod wide;
+#[path = "semi_global/simd.rs"]
+mod simd;
 
 use trocar_imaging::simd::Avx2;
 
@@ -17,7 +17,7 @@ use crate::census::REACH;
 use crate::consistency::Consistency;
 use crate::rows::{CensusRow, Found, margin};
 use crate::settings::Settings;
-use crate::simd;
+use crate::simd::census_row;
 
 /// Semi-global matching of images of one size; all memory is made at once.
 pub(crate) struct SemiGlobal {
@@ -39,7 +39,7 @@ pub(crate) struct SemiGlobal {
 enum Paths {
     Plain(plain::Plain),
     #[cfg(target_arch = "x86_64")]
-    Wide(Avx2, wide::Wide),
+    Wide(Avx2, simd::Wide),
 }
 
 impl SemiGlobal {
@@ -48,7 +48,7 @@ impl SemiGlobal {
         let n_disp = settings.n_disp;
         let paths = match lanes {
             #[cfg(target_arch = "x86_64")]
-            Some(lanes) => Paths::Wide(lanes, wide::Wide::new(width, n_disp / 32)),
+            Some(lanes) => Paths::Wide(lanes, simd::Wide::new(width, n_disp / 32)),
             _ => Paths::Plain(plain::Plain::new(width, n_disp)),
         };
         let rows = || vec![0; (width + 2 * REACH) * ROWS];
@@ -90,10 +90,10 @@ impl SemiGlobal {
                 core::array::from_fn(|dy| slot(image, width, (y + dy).saturating_sub(REACH).min(height - 1)))
             };
             let [a, b, c] = &mut self.left_census;
-            simd::census_row(self.lanes, around(&self.left), false, [a, b, c]);
+            census_row(self.lanes, around(&self.left), false, [a, b, c]);
             let [a, b, c] = &mut self.right_census;
             let planes = [&mut a[..width], &mut b[..width], &mut c[..width]];
-            simd::census_row(self.lanes, around(&self.right), true, planes);
+            census_row(self.lanes, around(&self.right), true, planes);
             // Beyond its end the image goes on like its last pixel, so that no disparity is preferred there.
             planes_end(&mut self.right_census, width);
             let [left, right] = [&self.left_census, &self.right_census].map(|p| [&p[0][..], &p[1], &p[2]]);
@@ -102,7 +102,7 @@ impl SemiGlobal {
                 Paths::Plain(paths) => paths.row(&row, &mut self.found),
                 #[cfg(target_arch = "x86_64")]
                 Paths::Wide(lanes, paths) => {
-                    simd::census_match_row(*lanes, n_disp / 32, paths, &row, &mut self.found);
+                    simd::row(*lanes, n_disp / 32, paths, &row, &mut self.found);
                 }
             }
             if consistency >= 0 {

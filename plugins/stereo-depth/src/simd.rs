@@ -9,7 +9,6 @@ use core::arch::x86_64::*;
 
 use trocar_imaging::simd::Avx2;
 
-use crate::rows::{BlockRow, CensusRow, Found};
 use crate::{census, prefilter};
 
 /// The bytes of one vector.
@@ -105,55 +104,4 @@ pub(crate) fn copy_row(lanes: Option<Avx2>, from: &[u8], mirrored: bool, to: &mu
     }
     let _ = lanes;
     mirror(from, to);
-}
-
-/// One row of block matching over `32 * vectors` disparities; `columns` has two blocks for each pixel and
-/// vector.
-#[cfg(target_arch = "x86_64")]
-pub(crate) fn block_row(
-    _: Avx2,
-    vectors: usize,
-    columns: &mut [[Block; 2]],
-    row: &BlockRow<'_>,
-    to: &mut [Found],
-) {
-    use crate::block_matching::wide::row as wide;
-    // SAFETY: an `Avx2` exists only where the processor has AVX2 and POPCNT.
-    unsafe {
-        match vectors {
-            1 => wide::<1>(columns, row, to),
-            2 => wide::<2>(columns, row, to),
-            3 => wide::<3>(columns, row, to),
-            4 => wide::<4>(columns, row, to),
-            5 => wide::<5>(columns, row, to),
-            6 => wide::<6>(columns, row, to),
-            7 => wide::<7>(columns, row, to),
-            _ => wide::<8>(columns, row, to),
-        }
-    }
-}
-
-/// One row of semi-global matching over `32 * vectors` disparities.
-#[cfg(target_arch = "x86_64")]
-pub(crate) fn census_match_row(
-    _: Avx2,
-    vectors: usize,
-    state: &mut crate::semi_global::wide::Wide,
-    row: &CensusRow<'_>,
-    to: &mut [Found],
-) {
-    use crate::semi_global::wide::row as wide;
-    // SAFETY: an `Avx2` exists only where the processor has AVX2 and POPCNT.
-    unsafe {
-        match vectors {
-            1 => wide::<1>(state, row, to),
-            2 => wide::<2>(state, row, to),
-            3 => wide::<3>(state, row, to),
-            4 => wide::<4>(state, row, to),
-            5 => wide::<5>(state, row, to),
-            6 => wide::<6>(state, row, to),
-            7 => wide::<7>(state, row, to),
-            _ => wide::<8>(state, row, to),
-        }
-    }
 }

@@ -1,8 +1,11 @@
 //! Semi-global matching with AVX2, 32 disparities at a time.
 //!
 //! Invariant: gives what `plain` gives. Costs along two paths fit a byte together (`settings::MAX_P2`).
+#![allow(unsafe_code)]
 
 use core::arch::x86_64::*;
+
+use trocar_imaging::simd::Avx2;
 
 use crate::rows::{CensusRow, Found};
 use crate::simd::{Block, load, load_bytes, store};
@@ -40,9 +43,25 @@ impl Wide {
     }
 }
 
-/// Works on one row.
+/// Works on one row over `32 * vectors` disparities.
+pub(super) fn row(_: Avx2, vectors: usize, state: &mut Wide, row: &CensusRow<'_>, to: &mut [Found]) {
+    // SAFETY: an `Avx2` exists only where the processor has AVX2 and POPCNT.
+    unsafe {
+        match vectors {
+            1 => row_avx2::<1>(state, row, to),
+            2 => row_avx2::<2>(state, row, to),
+            3 => row_avx2::<3>(state, row, to),
+            4 => row_avx2::<4>(state, row, to),
+            5 => row_avx2::<5>(state, row, to),
+            6 => row_avx2::<6>(state, row, to),
+            7 => row_avx2::<7>(state, row, to),
+            _ => row_avx2::<8>(state, row, to),
+        }
+    }
+}
+
 #[target_feature(enable = "avx2,popcnt")]
-pub(crate) fn row<const NV: usize>(state: &mut Wide, row: &CensusRow<'_>, to: &mut [Found]) {
+fn row_avx2<const NV: usize>(state: &mut Wide, row: &CensusRow<'_>, to: &mut [Found]) {
     debug_assert_eq!(state.vectors, NV);
     let width = to.len();
     let zero = _mm256_setzero_si256();

@@ -2,17 +2,38 @@
 //!
 //! Invariant: gives what `plain` gives. A difference of two absolute differences fits a signed byte, as
 //! prefiltered values are at most 62.
+#![allow(unsafe_code)]
 
 use core::arch::x86_64::*;
+
+use trocar_imaging::simd::Avx2;
 
 use crate::rows::{BlockRow, Found};
 use crate::simd::{Block, load, load_bytes, store};
 use crate::wide::{Sums, pick};
 
+/// One row over `32 * vectors` disparities; `columns` has two blocks for each pixel and
+/// vector.
+pub(super) fn row(_: Avx2, vectors: usize, columns: &mut [[Block; 2]], row: &BlockRow<'_>, to: &mut [Found]) {
+    // SAFETY: an `Avx2` exists only where the processor has AVX2 and POPCNT.
+    unsafe {
+        match vectors {
+            1 => row_avx2::<1>(columns, row, to),
+            2 => row_avx2::<2>(columns, row, to),
+            3 => row_avx2::<3>(columns, row, to),
+            4 => row_avx2::<4>(columns, row, to),
+            5 => row_avx2::<5>(columns, row, to),
+            6 => row_avx2::<6>(columns, row, to),
+            7 => row_avx2::<7>(columns, row, to),
+            _ => row_avx2::<8>(columns, row, to),
+        }
+    }
+}
+
 /// Lets a row enter and one leave; fills `to` where windows are full. `columns` has `NV` entries for each
 /// pixel.
 #[target_feature(enable = "avx2,popcnt")]
-pub(crate) fn row<const NV: usize>(columns: &mut [[Block; 2]], row: &BlockRow<'_>, to: &mut [Found]) {
+fn row_avx2<const NV: usize>(columns: &mut [[Block; 2]], row: &BlockRow<'_>, to: &mut [Found]) {
     let block = row.block;
     let [new_left, new_right] = row.enters;
     let [old_left, old_right] = row.leaves;
