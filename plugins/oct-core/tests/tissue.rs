@@ -4,10 +4,9 @@ use nalgebra::{Point3, Vector3};
 use trocar_oct_core::chain::{Chain, Levels};
 use trocar_oct_core::dispersion::Dispersion;
 use trocar_oct_core::grid::{Grid, Interpolation};
-use trocar_phantom::grain::COLUMNS;
 use trocar_phantom::noise::Noise;
 use trocar_phantom::spectra::{Optics, Spectrograph};
-use trocar_phantom::tissue::{EPITHELIUM_M, Echo, Layers, Tissue};
+use trocar_phantom::tissue::{COLUMNS, EPITHELIUM_M, Echo, Layers, Tissue};
 use trocar_phantom::{Below, World};
 
 /// Optical path to the ILM, m: 500 µm of vitreous.

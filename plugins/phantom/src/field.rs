@@ -7,7 +7,10 @@
 use std::ops::Range;
 
 use crate::camera::{FIELD_M, Rig, WORKING_DISTANCE_M};
-use crate::rows::{PART_BITS, PARTS};
+
+/// Brightness between two levels is kept in this many parts until the noise is added.
+pub(crate) const PARTS: i16 = 1 << PART_BITS;
+const PART_BITS: u32 = 7;
 
 /// What a sensor tells where there is no light, levels.
 const DARK: i16 = 3;

@@ -6,10 +6,7 @@
 
 use crate::noise::Noise;
 use crate::phasor::{Field, LANES, Runs, lanes, lanes_mut};
-use crate::tissue::{EPITHELIUM_M, Layers, Tissue};
-
-/// Columns that differ; which one lies below a place of the retina is drawn from its speckle.
-pub const COLUMNS: usize = 64;
+use crate::tissue::{COLUMNS, EPITHELIUM_M, Layers, Tissue};
 
 /// Optical path below the ILM at which the outer layers begin where the globe is smooth, m. In the middle of
 /// the pit, which is 134 µm deep, they begin with the ILM.

@@ -13,10 +13,10 @@ use nalgebra::Vector3;
 
 use crate::backdrop::{Backdrop, Warp};
 use crate::camera::{Rig, Tool};
-use crate::field::Field;
+use crate::field::{Field, PARTS};
 use crate::lamp::Lamp;
 use crate::noise::Noise;
-use crate::rows::{NOISE_PLACES, PARTS, Work};
+use crate::rows::{NOISE_PLACES, Work};
 use crate::scenery::Scenery;
 use crate::world::World;
 
@@ -139,7 +139,7 @@ impl Renderer {
         let [left, right] = eyes;
         let warp = left.warp(&shift);
         work.follow(&warp, left.camera.width);
-        work.mark(world, &right.camera, lamp, scene, &shift);
+        work.mark(world, &right.camera, lamp, scene.tool.as_ref(), &shift);
         // The right eye's spans hide what lies behind; the left one's are needed to see the tool itself.
         std::mem::swap(&mut work.tool, &mut work.shadow);
         work.tool.mark_tool(&left.camera, scene.tool.as_ref());
@@ -202,7 +202,7 @@ impl Stage {
         let shift = world.motion.shift(scene.t_s);
         let warp = eye.warp(&shift);
         work.follow(&warp, eye.camera.width);
-        work.mark(world, &eye.camera, lamp, scene, &shift);
+        work.mark(world, &eye.camera, lamp, scene.tool.as_ref(), &shift);
         let of_tool = |tool| Scenery { eye, lamp, tool, core: tool.core(), warp, shift };
         let scenery = scene.tool.as_ref().map(of_tool);
         if let Some(scenery) = &scenery {

@@ -7,11 +7,10 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use crate::backdrop::{Backdrop, Warp};
-use crate::camera::Camera;
-use crate::field::Field;
+use crate::camera::{Camera, Tool};
+use crate::field::{Field, PARTS};
 use crate::lamp::Lamp;
 use crate::noise::Noise;
-use crate::render::Scene;
 use crate::scenery::Scenery;
 use crate::shade::Shade;
 use crate::shadow;
@@ -21,9 +20,6 @@ use crate::world::World;
 
 /// Values of noise that are drawn beforehand; each row of each picture begins at another one.
 pub(crate) const NOISE_PLACES: usize = 1 << 16;
-/// Brightness between two levels is kept in this many parts until the noise is added.
-pub(crate) const PARTS: i16 = 1 << PART_BITS;
-pub(crate) const PART_BITS: u32 = 7;
 /// Part of the tool's radius over which its colour changes little.
 const MIXED_STEEL: f64 = 0.14;
 /// Pixels are mixed of their neighbours' where the tool's part of them changes less than this.
@@ -93,12 +89,12 @@ impl Work {
         world: &World,
         camera: &Camera,
         lamp: &Lamp,
-        scene: &Scene,
+        tool: Option<&Tool>,
         shift: &Vector3<f64>,
     ) {
-        self.tool.mark_tool(camera, scene.tool.as_ref());
+        self.tool.mark_tool(camera, tool);
         self.shadow.clear();
-        let Some(tool) = &scene.tool else { return };
+        let Some(tool) = tool else { return };
         let cast =
             shadow::of(tool, lamp, POINTS, |x, y| world.eye.surface_z(x - shift.x, y - shift.y) + shift.z);
         self.shadow.mark(camera, cast);

@@ -4,7 +4,6 @@
 
 use std::f64::consts::TAU;
 
-use crate::grain::COLUMNS;
 use crate::noise::Noise;
 
 /// Echoes below one place at most: both sides of the membrane, ILM, two inner layers and the pigment
@@ -35,6 +34,9 @@ pub const SPECKLE_M: f64 = 10e-6;
 /// thirty: so clinical instruments show the mean of many frames, in which speckle has faded but is still
 /// there.
 pub const GRAIN_M: f64 = 0.2e-6;
+
+/// Columns that differ; which one lies below a place of the retina is drawn from its speckle.
+pub const COLUMNS: usize = 64;
 
 /// Stream of the tissue's columns; those of the echoes are below.
 const BELOW: u64 = 16;
