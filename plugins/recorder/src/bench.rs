@@ -13,8 +13,9 @@ use std::time::Instant;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 
-use crate::block::{Kind, way};
+use crate::block::Kind;
 use crate::orders::{Channel, Codec, Opening, Order};
+use crate::way::way;
 use crate::writer::Writer;
 
 /// Messages that are pushed in what stands for a step.

@@ -8,9 +8,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use trocar_sdk::serde_json::{Value as Json, json};
 
-use crate::block::{Kind, Way};
+use crate::block::Kind;
 use crate::orders::Order;
 use crate::topic::Link;
+use crate::way::Way;
 
 /// Longest wait for the first answer, ns: without a GCM a recording begins all the same.
 const PATIENCE_NS: u64 = 5_000_000_000;
@@ -243,7 +244,7 @@ mod tests {
 
     #[test]
     fn graphs_wait_bounded_while_the_disk_stands_still_and_the_last_one_is_told() {
-        let (mut way, received, returns) = crate::block::way(2_000);
+        let (mut way, received, returns) = crate::way::way(2_000);
         let mut explaining = Explaining { graph: 1, config: 2, ..Explaining::default() };
         for n in 0..1000u64 {
             let path = format!("host/sine{n}");

@@ -10,7 +10,6 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use crate::block::Block;
-use crate::topic::Topic;
 
 /// An order to the writer.
 pub(crate) enum Order {
@@ -45,17 +44,6 @@ pub(crate) struct Missing {
     pub(crate) interrupted: Vec<(String, u64)>,
     /// Connected, and nothing has come of it since the recording began.
     pub(crate) silent: Vec<String>,
-}
-
-impl Missing {
-    pub(crate) fn of(each: &[Topic]) -> Missing {
-        let those = |count: fn(&Topic) -> u64| {
-            let all = each.iter().map(|topic| (topic.name.clone(), count(topic)));
-            all.filter(|(_, n)| *n > 0).collect()
-        };
-        let silent = each.iter().filter(|topic| topic.is_silent()).map(|topic| topic.name.clone()).collect();
-        Missing { lost: those(|topic| topic.lost), interrupted: those(|topic| topic.interrupted), silent }
-    }
 }
 
 /// A channel as MCAP has it.

@@ -15,8 +15,9 @@ use crate::explain::{self, Connected, Explaining};
 use crate::orders::{Ended, Opening, Order};
 use crate::place;
 use crate::running::{Plan, Running, SECOND_NS};
+use crate::seen::Seen;
 use crate::settings::{LONGEST_S, RecorderConfig, rate_limit, seconds};
-use crate::topic::{Seen, Topic};
+use crate::topic::Topic;
 use crate::words::{Note, Phase, Progress, RecordAt, StartRequest, Stopped, Thinning, TopicStatus};
 
 /// Inputs that need no configuration.

@@ -15,12 +15,13 @@ use trocar_sdk::prelude::*;
 use trocar_sdk::serde_json::Value as Json;
 
 use crate::asking::Asking;
-use crate::block::{Kind, Way, way};
+use crate::block::Kind;
 use crate::explain::Explaining;
 use crate::foxglove;
 use crate::orders::{Channel, Codec, Ended, Missing, OnItsWay, Opening, Order, Written};
 use crate::settings::{RecorderConfig, seconds};
-use crate::topic::Topic;
+use crate::topic::{Topic, missing};
+use crate::way::{Way, way};
 use crate::writer::Writer;
 
 /// Kinds of notes, at most: each is a channel of every file to come.
@@ -270,20 +271,20 @@ impl Running {
         // The writer may have to close the file at any moment. It is told no faster than it hears, for its
         // disk may stand still.
         if now != self.told_for_end && self.telling.has_arrived() {
-            self.tell_for_end(Missing::of(each), now);
+            self.tell_for_end(missing(each), now);
         }
     }
 
     /// Tells what is missing at the end of the recording: in the file if there is room, else for its end.
     pub(crate) fn end_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) {
         if !self.tell_loss(each, now, now_ns) {
-            self.tell_for_end(Missing::of(each), now);
+            self.tell_for_end(missing(each), now);
         }
     }
 
     /// Tells what is missing so far, in the recording and for its end. Returns whether there was room.
     fn tell_loss(&mut self, each: &[Topic], now: (u64, u64), now_ns: u64) -> bool {
-        let missing = Missing::of(each);
+        let missing = missing(each);
         let by_topic = |all: &[(String, u64)]| -> Json {
             all.iter().map(|(name, n)| (name.clone(), json!(n))).collect()
         };

@@ -8,10 +8,11 @@ use std::collections::BTreeMap;
 use trocar_sdk::AnyType;
 use trocar_sdk::serde_json::{Value as Json, json};
 
-use crate::block::{Kind, Way};
+use crate::block::Kind;
 use crate::orders::Channel;
-use crate::topic::Seen;
+use crate::seen::Seen;
 use crate::typed::{self, Typed};
+use crate::way::Way;
 
 /// Places of the parts of a sample, and its possible members.
 pub(crate) struct Tap {
@@ -146,8 +147,8 @@ mod tests {
     use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 
     use super::*;
-    use crate::block::way;
     use crate::orders::Order;
+    use crate::way::way;
 
     const COMMANDS: &str = r#"{"plain": {"ref": "TapCommands"}, "types": [
         {"name": "Which", "enum": "u32", "values": [{"name": "arm/move", "value": 4}, {"name": "arm/hold", "value": 5}]},

@@ -1,21 +1,18 @@
-//! One input while it is recorded: its samples, how they are encoded, which of them are kept, which were
-//! lost.
+//! One input while it is recorded: which of its samples are kept, which were lost.
 //!
 //! Invariant: kept + left out + lost = sent by the source since the recording began, as far as its count
 //! tells. Samples that were lost before, as far as the recording reaches back, are among the lost.
 
-use std::collections::{BTreeMap, VecDeque};
-use std::ops::Range;
+use std::collections::VecDeque;
 use std::sync::Arc;
 
-use trocar_sdk::{AnyShape, AnyType, AnyView, RateLimit};
+use trocar_sdk::{AnyView, RateLimit};
 
-use crate::block::{HeldPart, Kind, LARGE, Piece, Way};
-use crate::compress;
-use crate::foxglove::{self, Image, Shown};
-use crate::orders::{Channel, Codec};
-use crate::tap::Tap;
-use crate::typed::{self, Typed};
+use crate::block::{HeldPart, LARGE};
+use crate::encoder::{Encoder, Frame};
+use crate::orders::{Channel, Codec, Missing};
+use crate::seen::Seen;
+use crate::way::Way;
 
 /// Room for what encoding adds to the bytes of a frame.
 const AROUND: usize = 512;
@@ -66,63 +63,14 @@ pub(crate) struct Link {
     pub(crate) term: u64,
 }
 
-struct Encoder {
-    how: How,
-    /// Our numbers of the channels: one, or one for each image of a pair.
-    channels: [u32; 2],
-    size: usize,
-}
-
-enum How {
-    Typed(Typed),
-    Shown(Shown),
-    /// Pixels that the writer compresses.
-    Pixels(foxglove::ImagePlaces),
-    /// Events or commands of a component, each member a topic of its own.
-    Tap(Tap),
-}
-
-/// A sample as its input gave it.
-pub(crate) struct Seen<'a> {
-    pub(crate) value: &'a [u8],
-    pub(crate) bytes: &'a [u8],
-    pub(crate) stamp_ns: u64,
-    pub(crate) seq: u64,
-    /// View by which its frame may be held.
-    view: Option<&'a AnyView<'a>>,
-}
-
-impl<'a> Seen<'a> {
-    /// `may_hold`: what becomes of it will be in the file soon.
-    pub(crate) fn of(view: &'a AnyView<'a>, may_hold: bool) -> Seen<'a> {
-        let (stamp_ns, seq) = (view.stamp().ns(), view.seq());
-        Seen { value: view.value(), bytes: view.bytes(), stamp_ns, seq, view: may_hold.then_some(view) }
-    }
-
-    /// Returns a sample that was put aside.
-    pub(crate) fn copied(value: &'a [u8], bytes: &'a [u8], stamp_ns: u64, seq: u64) -> Seen<'a> {
-        Seen { value, bytes, stamp_ns, seq, view: None }
-    }
-
-    #[cfg(test)]
-    pub(crate) fn plain(value: &'a [u8], stamp_ns: u64, seq: u64) -> Seen<'a> {
-        Seen::copied(value, &[], stamp_ns, seq)
-    }
-}
-
-/// The bytes of a frame, and the frame if it is held.
-struct Frame<'a> {
-    bytes: &'a [u8],
-    held: Option<Arc<HeldPart>>,
-}
-
-impl<'a> Frame<'a> {
-    fn piece(&self, range: Range<usize>) -> Piece<'a> {
-        match &self.held {
-            Some(part) => Piece::Held(part.clone(), range),
-            None => Piece::Copied(&self.bytes[range]),
-        }
-    }
+/// Returns what is missing of these topics so far.
+pub(crate) fn missing(each: &[Topic]) -> Missing {
+    let those = |count: fn(&Topic) -> u64| {
+        let all = each.iter().map(|topic| (topic.name.clone(), count(topic)));
+        all.filter(|(_, n)| *n > 0).collect()
+    };
+    let silent = each.iter().filter(|topic| topic.is_silent()).map(|topic| topic.name.clone()).collect();
+    Missing { lost: those(|topic| topic.lost), interrupted: those(|topic| topic.interrupted), silent }
 }
 
 impl Topic {
@@ -206,77 +154,7 @@ impl Topic {
             self.seq = 0;
         }
         self.source = source;
-        self.encoder = None;
-        if let Some(tap) = Tap::of(description, &self.name, add) {
-            self.encoder = Some(Encoder { size: sample.value.len(), how: How::Tap(tap), channels: [0, 0] });
-            return;
-        }
-        let Ok(ty) = AnyType::of_port(description) else { return };
-        if ty.size() != sample.value.len() {
-            return;
-        }
-        let hash = typed::hash(description);
-        let name = match ty.part().shape() {
-            AnyShape::Struct { name, .. } => name,
-            _ => "",
-        };
-        let typed = Typed::of(&ty, hash);
-        let mut metadata: BTreeMap<String, String> = BTreeMap::from([
-            ("trocar.type".to_owned(), description.to_owned()),
-            ("trocar.type_hash".to_owned(), format!("{hash:016x}")),
-        ]);
-        for (path, unit) in &typed.units {
-            metadata.insert(format!("unit:{path}"), unit.clone());
-        }
-        let mut channel = |topic: String, schema: &str, data: &[u8]| {
-            add(Channel {
-                topic,
-                schema: schema.to_owned(),
-                schema_encoding: "protobuf",
-                schema_data: data.to_vec(),
-                encoding: "protobuf",
-                metadata: metadata.clone(),
-            })
-        };
-        let shown =
-            Shown::of(&ty, name, &foxglove::frame_id(description, name)).filter(|shown| match shown {
-                // A format without a name in viewers is kept as it is.
-                Shown::Image(places) => places.images(sample.value, sample.bytes).is_some(),
-                _ => true,
-            });
-        let (how, channels) = match shown {
-            None => {
-                let id = channel(self.name.clone(), &typed.name, &typed.descriptors);
-                (How::Typed(typed), [id, id])
-            }
-            Some(shown) => {
-                let mut schema = shown.schema();
-                let encoding = match &shown {
-                    Shown::Image(places) => places
-                        .images(sample.value, sample.bytes)
-                        .and_then(|[first, _]| first)
-                        .map_or("", |image| image.encoding),
-                    _ => "",
-                };
-                let compressed = compress::takes(codec, encoding);
-                if compressed {
-                    schema = foxglove::compressed_image();
-                }
-                let channels = if shown.images() == 2 {
-                    ["left", "right"]
-                        .map(|eye| channel(format!("{}/{eye}", self.name), schema.name, &schema.descriptors))
-                } else {
-                    let id = channel(self.name.clone(), schema.name, &schema.descriptors);
-                    [id, id]
-                };
-                let how = match shown {
-                    Shown::Image(places) if compressed => How::Pixels(places),
-                    shown => How::Shown(shown),
-                };
-                (how, channels)
-            }
-        };
-        self.encoder = Some(Encoder { how, channels, size: ty.size() });
+        self.encoder = Encoder::of(description, &self.name, (codec, sample), add);
     }
 
     /// Looks at a sample that is not recorded, so that what came before a recording is no loss of it.
@@ -302,8 +180,9 @@ impl Topic {
             return;
         };
         let around = 2 * seen.value.len() + AROUND;
-        let mut fits = seen.value.len() == encoder.size && way.has_room(around);
-        let held = seen.view.filter(|_| fits && self.may_hold(seen.bytes.len())).and_then(AnyView::hold);
+        let mut fits = seen.value.len() == encoder.size() && way.has_room(around);
+        let held =
+            seen.holdable().filter(|_| fits && self.may_hold(seen.bytes.len())).and_then(AnyView::hold);
         let held = held.map(|frame| Arc::new(HeldPart::new(frame, self.held.clone())));
         fits &= held.is_some() || seen.bytes.is_empty() || way.has_room_for_frame(around + seen.bytes.len());
         let frame = Frame { bytes: seen.bytes, held };
@@ -325,68 +204,10 @@ impl Topic {
     }
 }
 
-impl Encoder {
-    /// Encodes a sample and returns the number of bytes; none if the sample is not what its type says.
-    fn write(
-        &self,
-        seen: &Seen<'_>,
-        frame: &Frame<'_>,
-        (now_ns, stamp_ns): (u64, u64),
-        way: &mut Way,
-    ) -> Option<usize> {
-        let head = |channel: u32| (channel, seen.seq, now_ns, stamp_ns);
-        let [first, second] = self.channels;
-        let value = seen.value;
-        Some(match &self.how {
-            How::Typed(typed) => {
-                let len = frame.bytes.len();
-                let write = |to: &mut Vec<u8>| typed.encode(value, len, to);
-                way.block().push_with(head(first), Kind::Ready, write, frame.piece(0..len))
-            }
-            How::Tap(tap) => return tap.write(seen, (now_ns, stamp_ns), way),
-            How::Shown(Shown::Pose(places, frame_id)) => {
-                way.block().push(head(first), Kind::Ready, |to| places.encode(value, frame_id, stamp_ns, to))
-            }
-            How::Shown(Shown::Transform(places)) => {
-                way.block().push(head(first), Kind::Ready, |to| places.encode(value, stamp_ns, to))
-            }
-            How::Shown(Shown::Joints(places)) => {
-                way.block().push(head(first), Kind::Ready, |to| places.encode(value, stamp_ns, to))
-            }
-            How::Shown(Shown::Image(places)) | How::Pixels(places) => {
-                let images = places.images(value, frame.bytes)?;
-                let compress = matches!(self.how, How::Pixels(_));
-                let each = images.iter().flatten().zip([first, second]);
-                each.map(|(image, channel)| {
-                    let piece = frame.piece(image.at..image.at + image.bytes.len());
-                    push_image(image, piece, head(channel), compress, way)
-                })
-                .sum()
-            }
-        })
-    }
-}
-
-/// `head`: with the image's stamp last.
-fn push_image(
-    image: &Image<'_>,
-    piece: Piece<'_>,
-    head: (u32, u64, u64, u64),
-    compress: bool,
-    way: &mut Way,
-) -> usize {
-    if compress {
-        let Image { width, height, stride, encoding, .. } = *image;
-        way.block().push_with(head, Kind::Pixels { width, height, stride, encoding }, |_| (), piece)
-    } else {
-        way.block().push_with(head, Kind::Ready, |to| image.encode(head.3, to), piece)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::block::way;
+    use crate::way::way;
 
     const NUMBER: &str = r#"{"plain": "f64"}"#;
 

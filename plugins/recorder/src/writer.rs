@@ -13,12 +13,13 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use mcap::records::{MessageHeader, Metadata};
 
-use crate::block::{Block, Head, Kind, Returns};
+use crate::block::{Block, Head, Kind};
 use crate::compress;
 use crate::mcap_file::{McapFile, is_alone};
 use crate::orders::{Channel, Codec, Ended, Missing, Opening, Order, Written};
 use crate::room::Room;
 use crate::sink::{MOST_FILLER, Sink};
+use crate::way::Returns;
 
 /// A message is in the file after so long.
 const FLUSH: Duration = Duration::from_millis(10);

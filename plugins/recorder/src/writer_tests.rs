@@ -3,8 +3,9 @@
 use std::fs::{File, OpenOptions};
 
 use super::*;
-use crate::block::{HeldPart, LARGE, Piece, way};
+use crate::block::{HeldPart, LARGE, Piece};
 use crate::orders::OnItsWay;
+use crate::way::way;
 
 fn channel(topic: &str) -> Order {
     Order::Channel(Box::new(Channel {
@@ -29,7 +30,7 @@ fn opening(path: &std::path::Path, since_ns: u64) -> Order {
 }
 
 /// Runs a writer over orders, and returns its messages.
-fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::block::Way)) -> Vec<Ended> {
+fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::way::Way)) -> Vec<Ended> {
     let (mut way, orders, returns) = way(64 << 20);
     let (tell, news) = std::sync::mpsc::channel();
     let writer = Writer::new(returns, tell, hold);
@@ -41,13 +42,13 @@ fn written(hold: (u64, u64), give: impl FnOnce(&mut crate::block::Way)) -> Vec<E
     news.try_iter().collect()
 }
 
-fn push(way: &mut crate::block::Way, n: u64, len: usize) {
+fn push(way: &mut crate::way::Way, n: u64, len: usize) {
     way.block().push((0, n, n, n), Kind::Ready, |to| to.extend(std::iter::repeat_n(b' ', len)));
     way.send();
 }
 
 /// A message whose larger part lies in a frame that is held.
-fn push_held(way: &mut crate::block::Way, n: u64, frame: &Arc<HeldPart>) -> Vec<u8> {
+fn push_held(way: &mut crate::way::Way, n: u64, frame: &Arc<HeldPart>) -> Vec<u8> {
     let range = n as usize..frame.bytes().len();
     let piece = Piece::Held(frame.clone(), range.clone());
     way.block().push_with((0, n, n, n), Kind::Ready, |to| to.extend([b'a'; 7]), piece);
@@ -114,7 +115,7 @@ fn what_was_before_a_recording_is_in_it_as_far_as_it_was_held() {
 }
 
 /// Fills a room of so many bytes with what `push` pushes, and reads what is in the file then.
-fn filled(room: u64, direct: bool, mut push: impl FnMut(&mut crate::block::Way, u64)) {
+fn filled(room: u64, direct: bool, mut push: impl FnMut(&mut crate::way::Way, u64)) {
     let dir = tempfile::tempdir().expect("a directory");
     let path = dir.path().join("a.mcap");
     // The file stands for a disk: the real one is filled from outside.
