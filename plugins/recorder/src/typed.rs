@@ -322,25 +322,11 @@ impl Walk<'_> {
         path: &str,
     ) -> Step {
         let size = item.size();
-        let how = match item.shape() {
-            AnyShape::Number(prim) if size == 1 && prim == "u8" => {
-                message.field.push(field(name, no, Label::Optional, Type::Bytes, None));
-                if list { How::RawList { item: 1, n } } else { How::Raw { bytes: n } }
-            }
-            AnyShape::Number(prim) => {
-                let (kind, how) = number(prim, size);
-                message.field.push(field(name, no, Label::Repeated, kind, None));
-                match (how, list) {
-                    (Ok(()), false) => How::Raw { bytes: n * size },
-                    (Ok(()), true) => How::RawList { item: size, n },
-                    (Err(small), false) => How::Packed { small, n },
-                    (Err(small), true) => How::PackedList { small, n },
-                }
-            }
+        let (label, kind, how) = match item.shape() {
+            AnyShape::Number(prim) => numbers(prim, size, n, list),
             AnyShape::Enum { number, .. } => {
-                message.field.push(field(name, no, Label::Repeated, Type::Int64, None));
                 let small = Small::Enum(size, number.starts_with('i'));
-                if list { How::PackedList { small, n } } else { How::Packed { small, n } }
+                (Label::Repeated, Type::Int64, packed(small, n, list))
             }
             // Numbers in rows of numbers become one row: their bytes lie one after the other.
             AnyShape::Array { item: inner, n: m }
@@ -348,19 +334,32 @@ impl Walk<'_> {
             {
                 return self.items(message, (name, no, at), inner, n * m, false, path);
             }
+            _ => {
+                let (kind, of, item) = self.item(item, (name, no), path);
+                message.field.push(field(name, no, Label::Repeated, kind, of));
+                let item = Box::new(item);
+                return Step { at, field: no, how: How::Each { item, size, n, list } };
+            }
+        };
+        message.field.push(field(name, no, label, kind, None));
+        Step { at, field: no, how }
+    }
+
+    /// One of several items that are no numbers: its protobuf type, with the name of a message, and how it is
+    /// encoded.
+    fn item(
+        &mut self,
+        item: AnyPart<'_>,
+        (name, no): (&str, u32),
+        path: &str,
+    ) -> (Type, Option<String>, Step) {
+        let (of, how) = match item.shape() {
             AnyShape::Struct { name: of, .. } => {
                 let of = ident(of);
                 let (plan, _) = self.structure(&of, item, path);
-                let full = format!(".{}.{of}", self.package);
-                message.field.push(field(name, no, Label::Repeated, Type::Message, Some(full)));
-                let item = Box::new(Step { at: 0, field: no, how: How::Nested(plan) });
-                How::Each { item, size, n, list }
+                (Some(of), How::Nested(plan))
             }
-            AnyShape::Text { n: room } => {
-                message.field.push(field(name, no, Label::Repeated, Type::String, None));
-                let item = Box::new(Step { at: 0, field: no, how: How::Text { n: room } });
-                How::Each { item, size, n, list }
-            }
+            AnyShape::Text { n: room } => (None, How::Text { n: room }),
             // Rows of anything else are messages of their own, with the row in them.
             _ => {
                 let of = format!("Row_{}", ident(if path.is_empty() { name } else { path }));
@@ -369,14 +368,32 @@ impl Walk<'_> {
                 if !self.messages.iter().any(|m| m.name() == of) {
                     self.messages.push(row);
                 }
-                let full = format!(".{}.{of}", self.package);
-                message.field.push(field(name, no, Label::Repeated, Type::Message, Some(full)));
-                let item = Box::new(Step { at: 0, field: no, how: How::Nested(vec![inner]) });
-                How::Each { item, size, n, list }
+                (Some(of), How::Nested(vec![inner]))
             }
         };
-        Step { at, field: no, how }
+        let kind = if of.is_some() { Type::Message } else { Type::String };
+        let full = of.map(|of| format!(".{}.{of}", self.package));
+        (kind, full, Step { at: 0, field: no, how })
     }
+}
+
+/// Several numbers side by side: bytes as they are where protobuf packs them so.
+fn numbers(prim: &str, size: usize, n: usize, list: bool) -> (Label, Type, How) {
+    if size == 1 && prim == "u8" {
+        let how = if list { How::RawList { item: 1, n } } else { How::Raw { bytes: n } };
+        return (Label::Optional, Type::Bytes, how);
+    }
+    let (kind, how) = number(prim, size);
+    let how = match how {
+        Ok(()) if list => How::RawList { item: size, n },
+        Ok(()) => How::Raw { bytes: n * size },
+        Err(small) => packed(small, n, list),
+    };
+    (Label::Repeated, kind, how)
+}
+
+fn packed(small: Small, n: usize, list: bool) -> How {
+    if list { How::PackedList { small, n } } else { How::Packed { small, n } }
 }
 
 /// A proto enum has a zero first, 32 bits, and names of its own; none if the values do not fit.
