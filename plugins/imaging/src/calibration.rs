@@ -118,8 +118,34 @@ fn differences(left: &[[f64; 4]; 3], right: &[[f64; 4]; 3]) -> Vec<(&'static str
         .collect()
 }
 
+/// What is wrong with a camera: the key, and why.
+type Wrong = (&'static str, String);
+
 fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
-    let bad = |key, why: String| CalibrationError::Camera { side, key, why };
+    made(side, from).map_err(|(key, why)| CalibrationError::Camera { side, key, why })
+}
+
+fn made(side: &str, from: &Side) -> Result<Camera, Wrong> {
+    numbers_are_sane(from)?;
+    let count = from.distortion.len();
+    if ![4, 5, 8].contains(&count) {
+        let why = format!("{count} numbers; give 4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6)");
+        return Err(("distortion", why));
+    }
+    let matrix = |m: &[[f64; 3]; 3]| Matrix3::from_fn(|r, c| m[r][c]);
+    let [k, r] = [matrix(&from.matrix), matrix(&from.rectification)];
+    let p = Matrix3::from_fn(|row, column| from.projection[row][column]);
+    is_of_a_lens("matrix", &k)?;
+    is_of_a_lens("projection", &p)?;
+    stands_beside_the_left_one(side, from)?;
+    is_rotation("rectification", &r)?;
+    let mut distortion = [0.0; 8];
+    distortion[..count].copy_from_slice(&from.distortion);
+    Camera::new(k, distortion, r, p).ok_or_else(|| ("projection", "it is singular".into()))
+}
+
+/// All numbers are finite and not huge.
+fn numbers_are_sane(from: &Side) -> Result<(), Wrong> {
     let numbers: [(&'static str, Vec<f64>); 4] = [
         ("matrix", from.matrix.concat()),
         ("distortion", from.distortion.clone()),
@@ -129,62 +155,49 @@ fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
     for (key, values) in numbers {
         if let Some((n, value)) = values.iter().enumerate().find(|(_, v)| !(-LARGEST..=LARGEST).contains(*v))
         {
-            return Err(bad(
-                key,
-                format!("number {n} is {value:e}, not between -{LARGEST:e} and {LARGEST:e}"),
-            ));
+            let why = format!("number {n} is {value:e}, not between -{LARGEST:e} and {LARGEST:e}");
+            return Err((key, why));
         }
     }
-    if ![4, 5, 8].contains(&from.distortion.len()) {
-        return Err(bad(
-            "distortion",
-            format!(
-                "{} numbers; give 4 (k1 k2 p1 p2), 5 (and k3) or 8 (and k4 k5 k6)",
-                from.distortion.len()
-            ),
-        ));
+    Ok(())
+}
+
+/// The matrix has focal lengths, px, a principal point and nothing else.
+fn is_of_a_lens(key: &'static str, m: &Matrix3<f64>) -> Result<(), Wrong> {
+    let (x, y, least) = (m[(0, 0)], m[(1, 1)], LEAST_FOCAL_PX);
+    if x < least || y < least {
+        let why = format!("focal lengths {x} and {y} px are not both at least {least} px: it is singular");
+        return Err((key, why));
     }
-    let matrix = |m: &[[f64; 3]; 3]| Matrix3::from_fn(|r, c| m[r][c]);
-    let [k, r] = [matrix(&from.matrix), matrix(&from.rectification)];
-    let p = Matrix3::from_fn(|row, column| from.projection[row][column]);
-    for (key, m) in [("matrix", &k), ("projection", &p)] {
-        let (x, y, least) = (m[(0, 0)], m[(1, 1)], LEAST_FOCAL_PX);
-        if x < least || y < least {
-            return Err(bad(
-                key,
-                format!("focal lengths {x} and {y} px are not both at least {least} px: it is singular"),
-            ));
-        }
-        let lower = [m[(1, 0)], m[(2, 0)], m[(2, 1)], m[(2, 2)] - 1.0];
-        if lower.iter().any(|v| v.abs() > 1e-9) {
-            return Err(bad(key, "it is not of the form f 0 c, 0 f c, 0 0 1".into()));
-        }
+    let lower = [m[(1, 0)], m[(2, 0)], m[(2, 1)], m[(2, 2)] - 1.0];
+    if lower.iter().any(|v| v.abs() > 1e-9) {
+        return Err((key, "it is not of the form f 0 c, 0 f c, 0 0 1".into()));
     }
-    // Rectified images share the axes of the left camera: its column is 0, and no camera stands in front of
-    // the other.
-    let behind = from.projection[2][3];
-    if behind != 0.0 || (side == "left" && from.projection[0][3] != 0.0) {
-        let (x, z) = (from.projection[0][3], behind);
-        return Err(bad(
-            "projection",
-            format!(
-                "its last column, {x} and {z}, says another place than beside the left camera: calibrate again"
-            ),
-        ));
+    Ok(())
+}
+
+/// Rectified images share the axes of the left camera: its column is 0, and no camera stands in front of the
+/// other.
+fn stands_beside_the_left_one(side: &str, from: &Side) -> Result<(), Wrong> {
+    let (x, z) = (from.projection[0][3], from.projection[2][3]);
+    if z != 0.0 || (side == "left" && x != 0.0) {
+        let why = format!(
+            "its last column, {x} and {z}, says another place than beside the left camera: calibrate again"
+        );
+        return Err(("projection", why));
     }
+    Ok(())
+}
+
+fn is_rotation(key: &'static str, r: &Matrix3<f64>) -> Result<(), Wrong> {
     let error = (r * r.transpose() - Matrix3::identity()).abs().max();
-    if error > ROTATION_ERROR || r.determinant() < 0.0 {
-        return Err(bad(
-            "rectification",
-            format!(
-                "it is no rotation: R·Rᵀ is {error:e} from one, its determinant is {:.6}",
-                r.determinant()
-            ),
-        ));
+    let determinant = r.determinant();
+    if error > ROTATION_ERROR || determinant < 0.0 {
+        let why =
+            format!("it is no rotation: R·Rᵀ is {error:e} from one, its determinant is {determinant:.6}");
+        return Err((key, why));
     }
-    let mut distortion = [0.0; 8];
-    distortion[..from.distortion.len()].copy_from_slice(&from.distortion);
-    Camera::new(k, distortion, r, p).ok_or_else(|| bad("projection", "it is singular".into()))
+    Ok(())
 }
 
 /// Why a calibration is not used.
