@@ -130,65 +130,69 @@ impl Described {
 
     /// An output of a payload or a plain number, if the only field is the name of one.
     fn whole(name: &str, field: &Field<'_>) -> Option<Result<Described>> {
-        let from = &field.from;
         if let Some(kind) = Kind::named(field.name) {
             return Some(Described::plain(name, kind, field));
         }
-        let payload = |ty, blank: &[u8], stamp, parts: &[(&str, usize, Kind, Option<usize>)]| Described {
-            name: name.to_owned(),
-            ty,
-            blank: blank.to_vec(),
-            stamps: vec![stamp],
-            parts: parts
-                .iter()
-                .map(|(part, at, kind, n)| Part {
-                    name: (*part).to_owned(),
-                    at: *at,
-                    kind: *kind,
-                    n: *n,
-                    from: if parts.len() == 1 { from.clone() } else { None },
-                })
-                .collect(),
-            from: if parts.len() == 1 { None } else { from.clone() },
-        };
         macro_rules! payload {
-            ($ty:ty, $value:expr, $($field:ident $kind:expr, $n:expr);+) => {
-                payload(AnyType::of::<$ty>(), as_bytes::<$ty>(&$value), offset_of!($ty, stamp),
-                        &[$((stringify!($field), offset_of!($ty, $field), $kind, $n)),+])
+            ($ty:ty, $($part:ident $kind:expr, $n:expr);+) => {
+                Described::payload::<$ty>(name, field, &<$ty>::default(), offset_of!($ty, stamp),
+                        &[$((stringify!($part), offset_of!($ty, $part), $kind, $n)),+])
             };
         }
         let made = match field.name {
-            "Scalar" => payload!(Scalar, Scalar::default(), value Kind::F64, None),
-            "Message" => payload!(Message, Message::default(), text Kind::Text(240), None),
-            "Pose" => {
-                payload!(Pose, Pose::default(), position Kind::F64, Some(3); orientation Kind::F64, Some(4))
-            }
-            "Twist" => {
-                payload!(Twist, Twist::default(), linear Kind::F64, Some(3); angular Kind::F64, Some(3))
-            }
-            "Wrench" => {
-                payload!(Wrench, Wrench::default(), force Kind::F64, Some(3); torque Kind::F64, Some(3))
-            }
-            "JointState" => match field.n {
-                Some(n @ 1..=MAX_JOINTS) => {
-                    let joints =
-                        JointState { position: List::of(&[0.0; MAX_JOINTS][..n]), ..JointState::default() };
-                    let mut made = payload!(JointState, joints, position Kind::F64, Some(n));
-                    // Behind the length of the list.
-                    made.parts.iter_mut().for_each(|part| part.at += 8);
-                    return Some(Ok(made));
-                }
-                _ => {
-                    let why = format!("how many joints? write JointState[6], 1 to {MAX_JOINTS} of them");
-                    return Some(Err(why.into()));
-                }
-            },
+            "Scalar" => payload!(Scalar, value Kind::F64, None),
+            "Message" => payload!(Message, text Kind::Text(240), None),
+            "Pose" => payload!(Pose, position Kind::F64, Some(3); orientation Kind::F64, Some(4)),
+            "Twist" => payload!(Twist, linear Kind::F64, Some(3); angular Kind::F64, Some(3)),
+            "Wrench" => payload!(Wrench, force Kind::F64, Some(3); torque Kind::F64, Some(3)),
+            "JointState" => return Some(Described::joints(name, field)),
             _ => return None,
         };
         Some(match field.n {
             Some(_) => Err(format!("{} is not an array: leave the brackets out", field.name).into()),
             None => Ok(made),
         })
+    }
+
+    /// Positions of a number of joints.
+    fn joints(name: &str, field: &Field<'_>) -> Result<Described> {
+        let Some(n @ 1..=MAX_JOINTS) = field.n else {
+            let why = format!("how many joints? write JointState[6], 1 to {MAX_JOINTS} of them");
+            return Err(why.into());
+        };
+        let blank = JointState { position: List::of(&[0.0; MAX_JOINTS][..n]), ..JointState::default() };
+        // Behind the length of the list.
+        let at = offset_of!(JointState, position) + 8;
+        let parts = [("position", at, Kind::F64, Some(n))];
+        Ok(Described::payload(name, field, &blank, offset_of!(JointState, stamp), &parts))
+    }
+
+    /// An output of a payload: its stamp and the parts that a line fills in, with their places, kinds and
+    /// numbers of items. A single part takes what stands behind `=` for itself.
+    fn payload<T: Payload>(
+        name: &str,
+        field: &Field<'_>,
+        blank: &T,
+        stamp: usize,
+        parts: &[(&str, usize, Kind, Option<usize>)],
+    ) -> Described {
+        let from = &field.from;
+        let single = parts.len() == 1;
+        let part = |&(part, at, kind, n): &(&str, usize, Kind, Option<usize>)| Part {
+            name: part.to_owned(),
+            at,
+            kind,
+            n,
+            from: if single { from.clone() } else { None },
+        };
+        Described {
+            name: name.to_owned(),
+            ty: AnyType::of::<T>(),
+            blank: as_bytes(blank).to_vec(),
+            stamps: vec![stamp],
+            parts: parts.iter().map(part).collect(),
+            from: if single { None } else { from.clone() },
+        }
     }
 
     fn plain(name: &str, kind: Kind, field: &Field<'_>) -> Result<Described> {
