@@ -11,7 +11,7 @@ use trocar_phantom::render::{Renderer, Scene, Side};
 use trocar_sdk::data::{CameraGeometry, CartesianState, ImageHeader, PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
-use crate::ahead::{Ahead, Tracing};
+use crate::ahead::{Ahead, Bare, Tracing};
 use crate::mosaic;
 use crate::scenery::{StereoGeometry, geometry};
 
@@ -224,37 +224,11 @@ impl Component for PhantomSource {
         let at = bare.as_ref().map_or(now, |bare| bare.stamp);
         let scene = Scene { t_s: at.ns() as f64 * 1e-9, number: index, tool: self.tool(at) };
         self.tool_shown = scene.tool.is_some().into();
-        let format = self.format();
-        let Some(renderer) = &mut self.renderer else { return Ok(()) };
-        let PhantomSourceConfig { width, height, disparity_every, .. } = self.cfg;
-        let row_bytes = width * format.bytes_per_pixel();
-        let sent = self.image.loan().map(|mut loan| {
-            *loan.header_mut() = StereoHeader {
-                stamp: at,
-                index,
-                width: width as u32,
-                height: height as u32,
-                stride: row_bytes as u32,
-                format,
-                right_offset: (height * row_bytes) as u64,
-            };
-            let room = loan.bytes_mut();
-            for (side, begin) in [(Side::Left, 0), (Side::Right, height * row_bytes)] {
-                let Some(to) = room.get_mut(begin..begin + height * row_bytes) else { continue };
-                let take = |y: usize, rgb: &[u8]| {
-                    mosaic::write(format, y, rgb, &mut to[y * row_bytes..(y + 1) * row_bytes]);
-                };
-                match &bare {
-                    Some(bare) => {
-                        let half = bare.rgb.len() / 2;
-                        renderer.draw_over(side, &scene, &bare.rgb[half * side as usize..], take);
-                    }
-                    None => renderer.draw(side, &scene, take),
-                }
-            }
-            loan.commit(2 * height * row_bytes, at);
-        });
-        self.drawn_ahead += u64::from(bare.is_some() && sent.is_ok());
+        if self.renderer.is_none() {
+            return Ok(());
+        }
+        let sent = self.draw(&scene, at, bare.as_ref());
+        self.drawn_ahead += u64::from(bare.is_some() && sent);
         if let Some(ahead) = &mut self.ahead {
             bare.into_iter().for_each(|bare| ahead.give_back(bare));
             // On the grid where there is one: the step comes when it is due, or a little later.
@@ -264,30 +238,74 @@ impl Component for PhantomSource {
                 ahead.wish(Stamp::from_ns(last.ns() + (period_s * 1e9).round() as u64), index + 1);
             }
         }
-        if sent.is_err() {
+        if !sent {
             self.left_out += 1;
             self.frame_dropped.emit(self.left_out);
             return Ok(());
         }
         self.emitted += 1;
-        if disparity_every > 0 && index.is_multiple_of(disparity_every) {
-            renderer.disparity(&scene, &mut self.units);
-            let Ok(mut loan) = self.disparity.loan() else { return Ok(()) };
-            *loan.header_mut() = ImageHeader {
-                stamp: at,
-                index,
-                width: width as u32,
-                height: height as u32,
-                stride: 2 * width as u32,
-                format: PixelFormat::GRAY16,
-            };
-            let (bytes, _) = loan.bytes_mut().as_chunks_mut::<2>();
-            for (bytes, units) in bytes.iter_mut().zip(&self.units) {
-                *bytes = units.to_ne_bytes();
-            }
-            loan.commit(2 * width * height, at);
+        let every = self.cfg.disparity_every;
+        if every > 0 && index.is_multiple_of(every) {
+            self.send_disparity(&scene, at);
         }
         Ok(())
+    }
+}
+
+impl PhantomSource {
+    /// Draws a pair over the one that was drawn ahead, where there is one, and sends it; false where readers
+    /// hold all frames.
+    fn draw(&mut self, scene: &Scene, at: Stamp, bare: Option<&Bare>) -> bool {
+        let format = self.format();
+        let PhantomSourceConfig { width, height, .. } = self.cfg;
+        let row_bytes = width * format.bytes_per_pixel();
+        let (Some(renderer), Ok(mut loan)) = (&mut self.renderer, self.image.loan()) else { return false };
+        *loan.header_mut() = StereoHeader {
+            stamp: at,
+            index: scene.number,
+            width: width as u32,
+            height: height as u32,
+            stride: row_bytes as u32,
+            format,
+            right_offset: (height * row_bytes) as u64,
+        };
+        let room = loan.bytes_mut();
+        for (side, begin) in [(Side::Left, 0), (Side::Right, height * row_bytes)] {
+            let Some(to) = room.get_mut(begin..begin + height * row_bytes) else { continue };
+            let take = |y: usize, rgb: &[u8]| {
+                mosaic::write(format, y, rgb, &mut to[y * row_bytes..(y + 1) * row_bytes]);
+            };
+            match bare {
+                Some(bare) => {
+                    let half = bare.rgb.len() / 2;
+                    renderer.draw_over(side, scene, &bare.rgb[half * side as usize..], take);
+                }
+                None => renderer.draw(side, scene, take),
+            }
+        }
+        loan.commit(2 * height * row_bytes, at);
+        true
+    }
+
+    /// Sends the true disparity of a pair, unless readers hold all frames.
+    fn send_disparity(&mut self, scene: &Scene, at: Stamp) {
+        let PhantomSourceConfig { width, height, .. } = self.cfg;
+        let Some(renderer) = &mut self.renderer else { return };
+        renderer.disparity(scene, &mut self.units);
+        let Ok(mut loan) = self.disparity.loan() else { return };
+        *loan.header_mut() = ImageHeader {
+            stamp: at,
+            index: scene.number,
+            width: width as u32,
+            height: height as u32,
+            stride: 2 * width as u32,
+            format: PixelFormat::GRAY16,
+        };
+        let (bytes, _) = loan.bytes_mut().as_chunks_mut::<2>();
+        for (bytes, units) in bytes.iter_mut().zip(&self.units) {
+            *bytes = units.to_ne_bytes();
+        }
+        loan.commit(2 * width * height, at);
     }
 }
 
