@@ -39,11 +39,10 @@ pub trait Component {
         Ok(())
     }
     /// Lists of names set before are in force now, in [`crate::Many`] and [`crate::Names`]: size here what
-    /// belongs to them. Called after `configure` or [`Host::ports_changed`](crate::Host::ports_changed), between two steps, when a list
-    /// has changed.
+    /// belongs to them. Called after `configure` or [`crate::Host::ports_changed`], between two steps, when a
+    /// list has changed.
     fn ports_changed(&mut self) {}
-    /// The answer to a service asked for with [`Host::services`](crate::Host::services) or
-    /// [`Host::service`](crate::Host::service).
+    /// The answer to a service asked for with [`crate::Host::services`] or [`crate::Host::service`].
     fn answered(&mut self, reply: ServiceReply) -> Result {
         let _ = reply;
         Ok(())

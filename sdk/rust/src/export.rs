@@ -44,9 +44,9 @@ macro_rules! __trocar_plugin {
 /// The same classes as a plugin without a file, for a host they are linked into:
 /// `pub const FILTERS: StaticPlugin = static_plugin!(LowPass, Notch);`.
 ///
-/// It exports no symbol, so any number of crates with one can be linked together. A crate that is a `.so` as
-/// well puts its [`trocar_plugin!`] behind a Cargo feature. `static_plugin!(name = "notches", Notch)` gives
-/// it another name than the crate's.
+/// The plugin exports no symbol, so any number of crates with one can be linked together. A crate that is a
+/// `.so` as well puts its [`trocar_plugin!`] behind a Cargo feature.
+/// `static_plugin!(name = "notches", Notch)` gives it another name than the crate's.
 ///
 /// ```
 /// use trocar_sdk::{StaticPlugin, prelude::*, static_plugin};

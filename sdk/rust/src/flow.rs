@@ -1,5 +1,5 @@
-//! What all ports have in common: the kind of what they carry, the way they are tied to a slot, and what the
-//! derive checks of their types when a plugin is built.
+//! The common part of all ports: the kind of data they carry, the way they are tied to a slot, and the checks
+//! of their types when a plugin is built.
 //!
 //! Invariant: a port is described by the same type that its methods read from or write to the slot.
 

@@ -91,8 +91,8 @@ impl<P> Default for Many<P> {
 
 impl<P> Many<P> {
     /// Sets the ports that are to exist. After `configure` the host asks by itself; later, call
-    /// [`Host::ports_changed`](crate::Host::ports_changed). A port whose name stays keeps its connection. Ports of a repeated interface
-    /// follow its `#[names]` list instead.
+    /// [`crate::Host::ports_changed`]. A port whose name stays keeps its connection. Ports of a repeated
+    /// interface follow its `#[names]` list instead.
     ///
     /// # Errors
     /// As [`Names::set`].

@@ -9,7 +9,7 @@ use crate::error::Result;
 const MAX_NAME: usize = 63;
 
 /// The names of repeated interfaces: a `#[names]` field. Set it in `configure`, or later followed by
-/// [`Host::ports_changed`](crate::Host::ports_changed); it changes when the host has taken it over (see
+/// [`crate::Host::ports_changed`]; it changes when the host has taken it over (see
 /// [`crate::Component::ports_changed`]).
 ///
 /// Reads know no instance and so no list: the repeated provided interfaces that have some share one, the

@@ -10,7 +10,7 @@ use trocar_plugin_api::abi;
 pub enum Outcome {
     /// The callee has done it.
     Executed,
-    /// It waits in the peer's queue.
+    /// The call waits in the peer's queue.
     Queued,
     /// No peer is connected.
     Unbound,

@@ -66,14 +66,14 @@ impl OctProcessor {
     }
 }
 
-/// How decibels become bytes: those of 0 and 255, and bins from the first on that stay black.
+/// Shades of decibels as bytes: the decibels of 0 and 255, and the number of first bins that stay black.
 struct Shading {
     low: f32,
     high: f32,
     hidden: usize,
 }
 
-/// What was seen in the lines of a frame.
+/// Counts and news of the lines of a frame.
 #[derive(Default)]
 struct Seen {
     dark: u64,

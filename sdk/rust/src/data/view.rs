@@ -291,9 +291,9 @@ pub enum BadFrame {
         format: PixelFormat,
         /// From one row to the next, B.
         stride: u32,
-        /// Where the image begins, B.
+        /// First byte of the image.
         offset: u64,
-        /// Where the image ends, B.
+        /// Number of the byte at which the image would end.
         needs: u128,
         /// Size of the frame, B.
         bytes: usize,

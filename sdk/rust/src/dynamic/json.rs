@@ -20,7 +20,7 @@ impl AnyType {
     /// Returns the bytes of a value. Stamps, lists, texts and fields called `reserved` may be left out.
     ///
     /// # Errors
-    /// Where the value does not fit the type.
+    /// The value does not fit the type: the sentence says where.
     pub fn to_bytes(&self, value: &Json) -> Result<Vec<u8>> {
         let mut bytes = vec![0; self.size()];
         write(&self.node, value, &mut bytes, "")?;
