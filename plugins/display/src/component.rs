@@ -72,7 +72,7 @@ pub struct Display {
     /// Frames lost on the way since the first one shown.
     #[state]
     gaps: u64,
-    /// How often since Start a frame came only after the one before had become stale.
+    /// Frames since Start that came only after the one before had become stale.
     #[state]
     stalls: u64,
     /// Age of the last frame when it was ready to be shown.
@@ -82,7 +82,7 @@ pub struct Display {
     /// The same of all frames since Start or `reset_latency`.
     #[state]
     latency: Latency,
-    /// Of one image of the last frame.
+    /// Width of one image of the last frame.
     #[state]
     #[unit("px")]
     width: u32,
@@ -125,7 +125,7 @@ impl Display {
         s.frames
     }
 
-    /// How old frames were when they were ready to be shown: median, 99th percentile, oldest.
+    /// Age of the frames when they were ready to be shown: median, 99th percentile, oldest.
     #[read]
     fn latency(s: &DisplayState) -> Latency {
         s.latency

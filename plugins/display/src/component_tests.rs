@@ -94,7 +94,7 @@ fn next_picture(connection: &mut TcpStream) -> [u8; 3] {
     next_image(connection).get_pixel(0, 0).0
 }
 
-/// What stands before an empty line.
+/// The lines before an empty line.
 fn head_of(connection: &mut TcpStream) -> String {
     let (mut text, mut byte) = (String::new(), [0]);
     while !text.ends_with("\r\n\r\n") {
@@ -246,7 +246,7 @@ fn a_frozen_picture_is_marked_for_who_looks_and_who_comes_and_the_next_one_is_no
     corner(&mut bench, "/stream/display/left", red);
     show(&mut bench);
     assert_eq!(bench.state().stalls, 2);
-    // What is never stale is never marked.
+    // A frame that never becomes stale is never marked.
     bench.configure(r#"{"mjpeg_port": 0, "mjpeg_hz": 0.1, "stale_after_s": 0}"#).unwrap();
     bench.advance(90_000_000_000);
     corner(&mut bench, "/stream/display/left", clear);

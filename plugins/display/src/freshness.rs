@@ -1,4 +1,4 @@
-//! How old the newest picture is, for the threads that show it while the step does not run.
+//! The age of the newest picture, for the threads that show it while the step does not run.
 //!
 //! Invariant: one number each way, without a lock; only what can be shown counts as new.
 
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_sdk::prelude::*;
 
-/// How often the text of a mark changes, s.
+/// The text of a mark changes so often, s.
 const TOLD_EVERY_S: f64 = 0.5;
 
 /// When the newest picture was taken, and from what age on it is stale.
@@ -18,7 +18,7 @@ pub(crate) struct Freshness {
     limit_ns: AtomicU64,
 }
 
-/// How old a stale picture is.
+/// A stale picture and its age.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stale {
     pub(crate) age_s: f64,
@@ -48,7 +48,7 @@ impl Freshness {
         self.newest_ns.store(taken(stamp, now).ns(), Ordering::Relaxed);
     }
 
-    /// How old the newest picture is, when it is too old.
+    /// Returns the age of the newest picture, when it is too old.
     pub(crate) fn stale(&self, now: Stamp) -> Option<Stale> {
         let (newest_ns, limit_ns) =
             (self.newest_ns.load(Ordering::Relaxed), self.limit_ns.load(Ordering::Relaxed));

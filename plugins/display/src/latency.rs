@@ -10,7 +10,7 @@ const STEPS: usize = 32;
 /// Doublings of 32 µs that are told apart: up to 9 hours.
 const DOUBLINGS: usize = 30;
 
-/// How old frames were when they were ready to be shown.
+/// Age of the frames when they were ready to be shown.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Latency {

@@ -17,15 +17,16 @@ use crate::freshness::{Freshness, Stale};
 use crate::handoff::{Giver, Taker, pair};
 use crate::mark;
 
-/// How often the encoder looks for a frame while somebody looks at its pictures.
+/// The encoder looks so often for a frame while somebody looks at its pictures.
 const LOOKS: Duration = Duration::from_millis(2);
-/// How often it looks whether somebody does, and for the newest frame for who may come.
+/// While nobody looks, the encoder checks so often for viewers, and for the newest frame to keep for the next
+/// one.
 const RESTS: Duration = Duration::from_millis(20);
 
-/// What a server shows under one name.
+/// A stream of pictures that a server shows under one name.
 pub(crate) struct Stream {
     pub(crate) name: String,
-    /// Who looks, at any part.
+    /// Number of viewers, at any part.
     viewers: AtomicU32,
     /// Most pictures of a part per second, the bits of an f64.
     most_hz: AtomicU64,
@@ -56,7 +57,7 @@ impl Stream {
         }
     }
 
-    /// Who looks, at any part.
+    /// Number of viewers, at any part.
     pub(crate) fn viewers(&self) -> u32 {
         self.viewers.load(Ordering::Relaxed)
     }
@@ -109,7 +110,7 @@ impl Stream {
     }
 }
 
-/// What a lock guards is whole after each of its few lines, so a panic elsewhere spoils nothing.
+/// The data behind a lock are whole after each of its few lines, so a panic elsewhere spoils nothing.
 fn held<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
     lock.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -162,7 +163,7 @@ impl Drop for Viewer {
 #[derive(Debug)]
 pub(crate) struct Closed;
 
-/// What tells a thread how old the newest picture is.
+/// The clock and the age of the newest picture, for a thread that shows it.
 pub(crate) struct Clock {
     pub(crate) host: Host,
     pub(crate) freshness: Arc<Freshness>,

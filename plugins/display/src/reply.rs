@@ -1,4 +1,4 @@
-//! What a browser is answered: texts, the list of streams, and a stream's pictures one after the other.
+//! Answers to a browser: texts, the list of streams, and a stream's pictures one after the other.
 //!
 //! Invariant: nothing may be kept, guessed at, or shown inside another page, and each piece has to be taken
 //! within a bounded time, however slowly it is taken.
@@ -15,10 +15,10 @@ use crate::mjpeg::Stream;
 
 /// A picture, or another answer, that is not taken within so long ends its connection.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
-/// How often it is looked whether a viewer without pictures is still there.
+/// A viewer without pictures is checked so often for being still there.
 const LOOKS: Duration = Duration::from_millis(200);
 const BOUNDARY: &str = "trocar-frame";
-/// Of every answer.
+/// Headers of every answer.
 const HEADERS: &str = "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nCross-Origin-Resource-Policy: same-origin\r\n\
      Cross-Origin-Opener-Policy: same-origin\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
      Content-Security-Policy: default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; frame-ancestors 'none'\r\n\

@@ -53,7 +53,7 @@ pub(crate) fn read(mut from: &TcpStream, within: Duration) -> std::io::Result<Re
     }
 }
 
-/// What a request comes to; `None` while it is not whole.
+/// Returns what a request asks for, or its refusal; `None` while it is not whole.
 fn parsed(bytes: &[u8]) -> Option<Result<String, Refusal>> {
     let mut headers = [httparse::EMPTY_HEADER; 64];
     let mut request = httparse::Request::new(&mut headers);

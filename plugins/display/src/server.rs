@@ -24,11 +24,12 @@ const VIEWERS: u32 = 16;
 /// Connections whose request is not there yet; beyond them the oldest is closed. Many, for honest ones may
 /// come in a burst.
 const ASKING: usize = 64;
-/// How long a request may take to come.
+/// Longest time that a request may take to come.
 const REQUEST: Duration = Duration::from_secs(2);
-/// How often it looks for new connections.
+/// The server looks so often for new connections.
 const LOOKS: Duration = Duration::from_millis(20);
-/// How long a port is tried that somebody has, and how often: a process that dies keeps its own for a while.
+/// A port that somebody has is tried for so long, and so often: a process that dies keeps its own for a
+/// while.
 const TRIES: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 5 });
 const TRIED_EVERY: Duration = Duration::from_millis(50);
 
@@ -39,7 +40,7 @@ named_values! {
         OFF = 0,
         /// Somebody else has the port; it is tried again for a while.
         WAITING = 1,
-        /// It answers.
+        /// The server answers.
         LISTENING = 2,
         /// Somebody else kept the port.
         REFUSED = 3,
@@ -123,7 +124,7 @@ impl Server {
         let shared = Arc::new(Shared::default());
         shared.becomes(if listener.is_some() { Serving::LISTENING } else { Serving::WAITING });
         let serving = shared.clone();
-        // It is of all displays at this port, so it has the name of none.
+        // The thread serves all displays at this port, so it has the name of none.
         let accepting = side::spawn("trocar-http", move || {
             let listener = listener.or_else(|| wait_for(port, &serving.ends));
             let Some(listener) = listener else {
@@ -241,7 +242,7 @@ fn take(connection: TcpStream, shared: &Arc<Shared>) {
     let (Ok(()), Ok(end)) = (prepared, connection.try_clone()) else { return };
     let mut connections = held(&shared.connections);
     connections.retain(|connection| !connection.thread.is_finished());
-    // Those that ask nothing make room for those that may: the oldest has had its time.
+    // Connections that ask nothing make room for others: the oldest has had its time.
     let asking = |connection: &&Connection| connection.asks.load(Ordering::Acquire);
     if connections.iter().filter(asking).count() >= ASKING
         && let Some(oldest) = connections.iter().find(asking)

@@ -1,4 +1,4 @@
-//! Where a display's frames are shown to people, and which of them are copied for that.
+//! The places where a display's frames are shown to people, and which frames are copied for them.
 //!
 //! Invariant: a frame is copied when it is due for those who look, or when the allowance for those who may
 //! come has room for it.
@@ -18,15 +18,15 @@ use crate::window::Window;
 /// Bytes copied while no browser looks, B/s, so that a late one sees the newest frame: images that come now
 /// and then are all copied, a video a few times a second.
 const KEPT_BYTES_PER_S: f64 = 16e6;
-/// What may be copied at once of smaller frames, B.
+/// Most that is copied at once of smaller frames, B.
 const KEPT_AT_ONCE: f64 = 1e6;
 
-/// Where frames are shown to people.
+/// Browsers and the window, where frames are shown to people.
 #[derive(Default)]
 pub(crate) struct Viewing {
     pub(crate) browser: Option<Browser>,
     pub(crate) screen: Option<(Window, Giver)>,
-    /// Of the newest frame that can be shown; the threads that show it have it, too.
+    /// Age of the newest frame that can be shown; the threads that show it have it, too.
     pub(crate) freshness: Arc<Freshness>,
 }
 
@@ -49,7 +49,7 @@ impl Viewing {
         }
         let Some(browser) = &mut self.browser else { return };
         browser.stream.limit(mjpeg_hz);
-        // What is marked as stale is not left so.
+        // A picture that is marked as stale is replaced at once, whatever the pace.
         let due = browser.pace.at(mjpeg_hz).is_due(now.ns()) || was_stale;
         let wanted = due && browser.stream.viewers() > 0;
         if wanted || browser.kept.takes(bytes.len(), now) {
@@ -61,7 +61,7 @@ impl Viewing {
     }
 }
 
-/// How many bytes may be copied for nobody in particular.
+/// Bytes that may be copied for no viewer in particular.
 #[derive(Default)]
 pub(crate) struct Allowance {
     bytes: f64,
@@ -80,7 +80,7 @@ impl Allowance {
     }
 }
 
-/// What shows frames to browsers. Its parts are dropped in this order: off the list, then no more pictures.
+/// The parts that show frames to browsers, dropped in this order: off the list, then no more pictures.
 pub(crate) struct Browser {
     pub(crate) place: Place,
     pub(crate) _encoder: Encoder,

@@ -14,13 +14,13 @@ use trocar_sdk::Result;
 use crate::handoff::{Giver, Taker, pair};
 use crate::mjpeg::Clock;
 
-/// What a window is opened with.
+/// The settings that a window is opened with.
 #[cfg_attr(not(feature = "window"), allow(dead_code))]
 pub(crate) struct Settings {
     pub(crate) title: String,
-    /// What its thread is called.
+    /// Name of its thread.
     pub(crate) thread: String,
-    /// Of the first frame, more or less; the window can be resized.
+    /// Size of the first frame, more or less; the window can be resized.
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) max_bytes: usize,

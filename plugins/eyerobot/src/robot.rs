@@ -191,7 +191,7 @@ impl EyeRobot {
     /// A shaft that stands beside a port cannot go through it.
     ///
     /// # Errors
-    /// How far beside it stands, and what to do.
+    /// The shaft passes beside the port: how far, and what to do.
     fn check_port(&self) -> Result {
         let settings = self.cfg.settings();
         let at = Stance::of(&settings.kinematics, &self.stands_at());
@@ -236,7 +236,7 @@ impl EyeRobot {
     /// For each command that is only good when it is new.
     ///
     /// # Errors
-    /// It lay in wait, or its stamp is of another clock.
+    /// The goal lay in wait, or its stamp is of another clock.
     fn require_in_time(&mut self, stamp: Stamp) -> Result<(), ArmError> {
         let in_time = crtk::require_in_time(stamp, self.host.now(), self.cfg.command_age_s + self.period_s);
         self.stale_commands += u64::from(in_time.is_err());

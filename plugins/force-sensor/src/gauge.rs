@@ -9,7 +9,7 @@ use trocar_phantom::World;
 /// Samples whose mean is taken as zero.
 const MEAN_OF: usize = 32;
 
-/// Where in the tool the sensor sits.
+/// Place of the sensor in the tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Site {
     /// At the tip: the retina.
@@ -76,7 +76,7 @@ impl Gauge {
         changed.then_some(outside)
     }
 
-    /// What is taken as zero, N.
+    /// The force that is taken as zero, N.
     pub(crate) fn bias(&self) -> Vector3<f64> {
         self.bias
     }

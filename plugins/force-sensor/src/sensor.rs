@@ -31,7 +31,7 @@ struct ForceSensorConfig {
     /// Seed of the simulated world and of the sensor's noise
     #[config(default = 1)]
     seed: u64,
-    /// Where the sensor sits: at the tip, which feels the retina, or in the shaft, which feels the sclera
+    /// Place of the sensor: at the tip, which feels the retina, or in the shaft, which feels the sclera
     #[config(one_of = ["tip", "sclera"], default = "tip")]
     site: String,
     /// Largest force on each axis
@@ -62,7 +62,7 @@ pub struct ForceSensor {
     wrench: Wrench,
     #[state]
     range: ForceRange,
-    /// What is taken as zero.
+    /// The force that is taken as zero.
     #[state]
     #[unit("N")]
     zero: [f64; 3],
@@ -86,7 +86,7 @@ impl ForceSensor {
         s.wrench
     }
 
-    /// What the sensor can measure, and how well.
+    /// Range and noise of the sensor.
     #[read]
     fn range(s: &ForceSensorState) -> ForceRange {
         s.range

@@ -15,13 +15,13 @@ use crate::camera::Camera;
 pub const FORMAT: &str = "trocar-stereo-calibration";
 /// Widest and highest image.
 const MAX_SIDE: usize = 16_384;
-/// How far R·Rᵀ may be from one, per entry.
+/// Largest distance of R·Rᵀ from one, per entry.
 const ROTATION_ERROR: f64 = 1e-6;
 /// Shortest focal length, px.
 const LEAST_FOCAL_PX: f64 = 1e-3;
 /// Largest of all numbers: beyond it products overflow, and no camera has it.
 const LARGEST: f64 = 1e9;
-/// How far what must be equal in both projections may differ, of the focal length.
+/// Largest difference of numbers that must be equal in both projections, as a part of the focal length.
 const UNEQUAL: f64 = 1e-6;
 
 /// Both cameras and what rectified images of them measure.
@@ -46,8 +46,8 @@ impl Calibration {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// It cannot be read, is not such JSON, or [what it says](CalibrationError) cannot be; each names the
-    /// file.
+    /// The file cannot be read, is not such JSON, or [cannot be a calibration](CalibrationError); each error
+    /// names the file.
     pub fn load(path: &Path) -> Result<Self, CalibrationError> {
         let text = std::fs::read_to_string(path)
             .map_err(|why| CalibrationError::Unreadable { path: path.into(), why: why.to_string() })?;
@@ -118,7 +118,7 @@ fn differences(left: &[[f64; 4]; 3], right: &[[f64; 4]; 3]) -> Vec<(&'static str
         .collect()
 }
 
-/// What is wrong with a camera: the key, and why.
+/// A mistake in a camera: the key, and why.
 type Wrong = (&'static str, String);
 
 fn camera(side: &'static str, from: &Side) -> Result<Camera, CalibrationError> {
@@ -205,19 +205,19 @@ fn is_rotation(key: &'static str, r: &Matrix3<f64>) -> Result<(), Wrong> {
 pub enum CalibrationError {
     /// No such file, or no right to read it.
     Unreadable {
-        /// What was asked.
+        /// The path as it was given.
         path: PathBuf,
-        /// What the system said.
+        /// The sentence of the system.
         why: String,
     },
     /// Not JSON, or a key is missing or of another type.
     Json {
-        /// What the reader said, with line and column.
+        /// The sentence of the reader, with line and column.
         why: String,
     },
     /// Another kind of file, or a newer one.
     Version {
-        /// What it says it is.
+        /// The format that the file says it has.
         format: String,
         /// And its version.
         version: u32,
@@ -235,7 +235,7 @@ pub enum CalibrationError {
         side: &'static str,
         /// Which of its keys.
         key: &'static str,
-        /// What is wrong with it.
+        /// The reason why it cannot be.
         why: String,
     },
     /// A file was read, and cannot be used.
@@ -248,7 +248,7 @@ pub enum CalibrationError {
     /// The rectified images would not have one scale, or what lies in a row of one would not lie in the same
     /// row of the other.
     Projections {
-        /// What must be equal and is not: its name, and what the left and the right projection say, px.
+        /// Numbers that must be equal and are not: name, left and right projection, px.
         differ: Vec<(&'static str, f64, f64)>,
     },
     /// Cameras in one place see no depth; a negative one is left and right swapped.

@@ -94,7 +94,7 @@ fn projections_whose_rows_or_scales_differ_are_refused_with_what_differs() {
     both["right"]["projection"][1] = json!([0.0, 489.0, 251.0, 0.0]);
     let why = Calibration::parse(&both.to_string()).expect_err("two differ").to_string();
     assert!(why.contains("in fy (490 and 489 px), cy (250 and 251 px), or"), "{why}");
-    // What a fit leaves in the last places is no difference, and columns of the principal points may differ.
+    // A fit differs in the last places, which is no difference, and columns of principal points may differ.
     let mut near = good();
     near["right"]["projection"][1][2] = json!(250.0 + 1e-9);
     near["right"]["projection"][0][2] = json!(330.0);

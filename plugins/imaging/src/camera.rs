@@ -60,7 +60,7 @@ impl Camera {
         (error_px < 1e-6 && to.z > 0.0).then(|| (to.x / to.z, to.y / to.z))
     }
 
-    /// What the lens makes of a direction, both as x/z and y/z.
+    /// The direction behind the lens of a ray with this direction before it, both as x/z and y/z.
     fn distorted(&self, x: f64, y: f64) -> (f64, f64) {
         let [k1, k2, p1, p2, k3, k4, k5, k6] = self.distortion;
         let (r2, xy) = (x * x + y * y, 2.0 * x * y);

@@ -72,7 +72,7 @@ mod tests {
         out
     }
 
-    /// What a sensor sees of a picture.
+    /// A picture as a sensor behind a colour filter sees it.
     fn mosaic(width: usize, height: usize, picture: impl Fn(usize, usize) -> [u8; 3]) -> Vec<u8> {
         let channel = |x: usize, y: usize| match (y % 2, x % 2) {
             (0, 0) => 0,

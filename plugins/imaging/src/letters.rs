@@ -33,7 +33,7 @@ pub fn letters(text: &str, size: u32) -> impl Iterator<Item = Letter> {
     })
 }
 
-/// How wide a line of text is, px, whatever its letters.
+/// Width of a line of text, px, whatever its letters.
 pub fn width(text: &str, size: u32) -> usize {
     text.chars().count() * get_raster_width(FontWeight::Regular, raster_height(size))
 }

@@ -51,7 +51,7 @@ pub struct Running<Way> {
 /// Runs a program whose output is read; no shell looks at its arguments. `setting` is what a refusal names.
 ///
 /// # Errors
-/// It is not there, or cannot be started: a sentence.
+/// The program is not there, or cannot be started: a sentence.
 pub fn listened_to(setting: &str, command: &[String]) -> Result<Running<ChildStdout>, String> {
     let mut child = start(setting, command, |path, arguments| {
         tied(TIED, path, arguments, Stdio::piped(), Stdio::piped())
@@ -155,7 +155,7 @@ impl<Way> Running<Way> {
     /// Ends the whole group and collects the child; nothing the second time.
     ///
     /// # Errors
-    /// It does not die, or may not be ended: a sentence about it. It is left alone then.
+    /// The program does not die, or may not be ended: a sentence about it. It is left alone then.
     pub fn end(&mut self) -> Result<Option<ExitStatus>, String> {
         let Some(group) = self.pid().filter(|_| !self.collected) else { return Ok(None) };
         self.collected = true;

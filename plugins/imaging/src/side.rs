@@ -19,7 +19,7 @@ use trocar_sdk::prelude::Host;
 
 use crate::waits::Stop;
 
-/// What the crate makes niceness 0 of, on its scale of 0 to 99.
+/// Niceness 0 on the crate's scale of 0 to 99.
 const NOT_NICE: u8 = 47;
 
 /// A thread of a component that ends with its owner.
@@ -73,7 +73,7 @@ impl Side {
     /// Ends the thread.
     ///
     /// # Errors
-    /// It panicked.
+    /// The thread panicked.
     pub fn end(&mut self) -> Result {
         self.halt();
         let Some(thread) = self.thread.take() else { return Ok(()) };

@@ -72,7 +72,7 @@ fn luma_avx2(rgb: &[u8], gray: &mut [u8]) -> usize {
                 }
             };
             let pixels = _mm256_xor_si256(_mm256_set_m128i(at(second), at(first)), sign);
-            // Where the shuffle gives 0, the weight is 0, too.
+            // The weight is 0, too, where the shuffle gives 0.
             _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(pixels, split))
         };
         let sixteen = |px: usize| {

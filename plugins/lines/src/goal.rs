@@ -51,7 +51,7 @@ pub(crate) struct Port {
     baud: u32,
     /// When all that it took is on the wire.
     sent_at: Instant,
-    /// It takes no more for now.
+    /// The line takes no more for now.
     full: bool,
 }
 
@@ -123,7 +123,7 @@ impl Open {
     /// out.
     ///
     /// # Errors
-    /// It takes nothing any more: why. Empty where the word to stop came first.
+    /// The receiver takes nothing any more: why. Empty where the word to stop came first.
     pub(crate) fn write(
         &mut self,
         bytes: &[u8],

@@ -76,7 +76,7 @@ impl Reader {
     /// is opened again.
     ///
     /// # Errors
-    /// It cannot be opened.
+    /// The origin cannot be opened.
     pub(crate) fn open(
         origin: Origin,
         plan: Arc<Plan>,

@@ -1,4 +1,4 @@
-//! How fast pictures are drawn: `cargo run --release -p trocar-phantom --example render_speed [FILE.png]`.
+//! Speed of drawing pictures: `cargo run --release -p trocar-phantom --example render_speed [FILE.png]`.
 //!
 //! Invariant: one thread; each frame is a whole stereo pair with a moving tool, its shadow and noise.
 

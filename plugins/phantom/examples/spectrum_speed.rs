@@ -1,4 +1,4 @@
-//! How long one spectrum of the simulated retina takes, with and without the tissue between its echoes.
+//! Time for one spectrum of the simulated retina, with and without the tissue between its echoes.
 //! `cargo run --release -p trocar-phantom --example spectrum_speed`
 #![allow(clippy::print_stdout)]
 

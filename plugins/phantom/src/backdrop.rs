@@ -94,7 +94,7 @@ impl Backdrop {
         whole
     }
 
-    /// Where the picture of an eye that stands `shift` (m) from its place lies in the picture at rest.
+    /// Finds the picture of an eye that stands `shift` (m) from its place in the picture at rest.
     pub(crate) fn warp(&self, shift: &Vector3<f64>) -> Warp {
         // Two points beside the apex tell shift and zoom of each axis.
         let reach = 3e-3;
@@ -123,7 +123,7 @@ struct Band {
     colour: Vec<u8>,
     depth: Vec<f32>,
     rays: Vec<[f32; 2]>,
-    /// How blurred each pixel is, px.
+    /// Blur of each pixel, px.
     blurs_px: Vec<f32>,
 }
 

@@ -32,7 +32,7 @@ impl Lens {
     /// of the microscope.
     pub const MICROSCOPE: Lens = Lens { k1: -14.0, k2: 900.0, p1: 0.012, p2: -0.008 };
 
-    /// Where the ray through (x, y) of the plane z = 1 leaves the lens.
+    /// The point at which the ray through (x, y) of the plane z = 1 leaves the lens.
     pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (self.k1 + r2 * self.k2);
@@ -68,7 +68,7 @@ pub struct Camera {
     /// Rows.
     pub height: usize,
     pub focal_px: f64,
-    /// Where the axis meets the image.
+    /// The point where the axis meets the image.
     pub centre_px: [f64; 2],
     pub lens: Lens,
     pub world_from_camera: Isometry3<f64>,

@@ -1,4 +1,4 @@
-//! How blurred the microscope shows what is not in its focal plane, and the blur of the retina at rest.
+//! Blur of the microscope outside of its focal plane, and the blur of the retina at rest.
 //!
 //! Invariant: what lies within the depth of field of the nominal apex is not touched at all; beyond it the
 //! blur grows with height and then stays, since a surgeon focuses anew before it is larger.

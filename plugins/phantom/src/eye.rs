@@ -45,7 +45,7 @@ impl Eye {
         self.pit_depth_m * self.pit(x, y) - self.vessel_m(x, y)
     }
 
-    /// How far a vessel stands out at `x`, `y`, m; 0 beside vessels.
+    /// Height by which a vessel stands out at `x`, `y`, m; 0 beside vessels.
     pub fn vessel_m(&self, x: f64, y: f64) -> f64 {
         if !self.vessels {
             return 0.0;
@@ -54,8 +54,8 @@ impl Eye {
         Retina::shared().bump_at(u, v)
     }
 
-    /// Where on the retina `x`, `y` lies: m along the globe from the apex, in x and y direction (equidistant
-    /// projection).
+    /// The place of `x`, `y` on the retina: m along the globe from the apex, in x and y direction
+    /// (equidistant projection).
     pub fn along(&self, x: f64, y: f64) -> (f64, f64) {
         let r = x.hypot(y);
         let sine = (r / self.globe_radius_m).min(1.0);

@@ -12,7 +12,7 @@ use crate::camera::{FIELD_M, Rig, WORKING_DISTANCE_M};
 pub(crate) const PARTS: i16 = 1 << PART_BITS;
 const PART_BITS: u32 = 7;
 
-/// What a sensor tells where there is no light, levels.
+/// Value of a sensor where there is no light, levels.
 const DARK: i16 = 3;
 /// Part of the light that is lost at the edge of the field; it grows with the square of the distance from the
 /// middle.

@@ -1,4 +1,4 @@
-//! What the eye does to a tool: the retina at its tip, and the sclera where it enters.
+//! Forces of the eye on a tool: of the retina at its tip, and of the sclera where it enters.
 //!
 //! Invariant: pure in world, pose, velocity and time; positive is what the eye does to the tool, in the axes
 //! of the world. Stick and slip of peeling depends on the place alone, so it needs no memory of the way

@@ -29,8 +29,8 @@ const HIGH_M: [f64; 2] = [8e-6, 14e-6];
 /// Random numbers of the reflexes' gaps.
 const GAPS_STREAM: u64 = 0x676c_696e;
 
-/// What is thrown back at `at` (m, at rest) towards `eye`, of 255; `slopes` are those of globe and pit, `u`
-/// and `v` m along the retina.
+/// Light that is thrown back at `at` (m, at rest) towards `eye`, of 255; `slopes` are those of globe and pit,
+/// `u` and `v` m along the retina.
 pub(crate) fn at(
     [at, eye]: [&Point3<f64>; 2],
     [u, v]: [f64; 2],

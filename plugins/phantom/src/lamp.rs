@@ -11,9 +11,9 @@ use nalgebra::{Point3, Vector3};
 pub struct Lamp {
     /// Its end, m, in the world.
     pub at: Point3<f64>,
-    /// Where the middle of its spot is, m, in the world.
+    /// Middle of its spot, m, in the world.
     pub points_at: Point3<f64>,
-    /// Of its round end, m: the light of a wide-angle pipe.
+    /// Radius of its round end, m: the light of a wide-angle pipe.
     pub radius_m: f64,
     /// Cosines of the half angles where its spot begins to fade and where it has faded.
     pub fades: [f64; 2],

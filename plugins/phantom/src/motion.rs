@@ -1,4 +1,4 @@
-//! How the eye moves: pulse and breathing along the axis, and, where asked for, a step and a saccade.
+//! Motion of the eye: pulse and breathing along the axis, and, where asked for, a step and a saccade.
 //!
 //! Invariant: a function of time alone, smooth but for the step and the ends of a saccade.
 
@@ -63,7 +63,7 @@ impl Motion {
         Motion { pulse: still, breathing: still, step: None, saccade: None, again_s: None }
     }
 
-    /// How far the eye stands from its place at `t_s`, m, in the world.
+    /// Distance of the eye from its place at `t_s`, m, in the world.
     pub fn shift(&self, t_s: f64) -> Vector3<f64> {
         let step = self.step.map_or(0.0, |step| {
             let (since_s, there) = self.since(step.at_s, t_s);

@@ -20,7 +20,7 @@ pub(crate) struct Runs(Vec<[f64; 3]>);
 pub(crate) type Field = [Vec<f32>; 2];
 
 impl Runs {
-    /// Of the wavenumbers of all pixels, rad/m.
+    /// Makes runs of the wavenumbers of all pixels, rad/m.
     pub(crate) fn of(wavenumber: &[f64]) -> Runs {
         Runs(wavenumber.chunks_exact(RUN).map(differences).collect())
     }

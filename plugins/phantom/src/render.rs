@@ -25,7 +25,7 @@ const NOISE_STREAM: u64 = 0x6361_6d65;
 /// Disparity is told in this part of a pixel: 16 bits, 0 where there is none, as KITTI stores it.
 pub const DISPARITY_UNITS_PER_PX: f64 = 256.0;
 
-/// What is to be seen.
+/// A scene to be drawn: time, number and tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scene {
     /// Time of the world, s: where the eye stands.
@@ -48,7 +48,7 @@ pub struct Renderer {
     work: Work,
 }
 
-/// What stands still.
+/// The parts of a renderer that stand still.
 struct Stage {
     world: World,
     rig: Rig,
@@ -191,7 +191,7 @@ struct Begun<'a> {
     warp: Warp,
     scenery: Option<Scenery<'a>>,
     noise: &'a [i16],
-    /// Where in the noise each row begins.
+    /// Random numbers that say at which place in the noise each row begins.
     rows: Noise,
 }
 

@@ -1,4 +1,4 @@
-//! What the retina looks like from inside, and where its vessels stand out: a photograph laid on the globe.
+//! The retina as it looks from inside, and its vessels: a photograph laid on the globe.
 //!
 //! Invariant: decoded once per process; every lookup beyond the picture gives its nearest pixel, so no place
 //! is undefined.
@@ -22,7 +22,7 @@ const NEIGHBOURHOOD: usize = 20;
 /// A pixel whose green is less than this part of its neighbourhood's is of a vessel.
 const VESSEL_BELOW: f32 = 0.94;
 
-/// Where the green falls to this part of its neighbourhood's, the vessel is highest.
+/// The vessel is highest where the green falls to this part of its neighbourhood's.
 const VESSEL_DARKEST: f32 = 0.70;
 
 /// Brightness below which the photograph shows its frame and no retina.
@@ -35,7 +35,7 @@ pub struct Retina {
     side: usize,
     /// Red, green, blue of each pixel, row after row.
     colour: Vec<[u8; 3]>,
-    /// How far each pixel's tissue stands out towards the lens, m.
+    /// Height by which each pixel's tissue stands out towards the lens, m.
     bump: Vec<f32>,
 }
 
@@ -80,7 +80,8 @@ impl Retina {
         sum
     }
 
-    /// How far the tissue stands out at `u`, `v` m along the retina from its middle, m; 0 beside vessels.
+    /// Height by which the tissue stands out at `u`, `v` m along the retina from its middle, m; 0 beside
+    /// vessels.
     pub fn bump_at(&self, u: f64, v: f64) -> f64 {
         let (corners, weights) = self.corners(u, v);
         let sum: f32 =

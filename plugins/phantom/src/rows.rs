@@ -83,7 +83,7 @@ impl Work {
         }
     }
 
-    /// Where tool and shadow may be.
+    /// Marks the spans in which tool and shadow may be.
     pub(crate) fn mark(
         &mut self,
         world: &World,

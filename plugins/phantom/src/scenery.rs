@@ -1,4 +1,4 @@
-//! What one camera has before it in one picture: the eye where it stands, the tool, the lamp.
+//! The scenery of one camera in one picture: the eye where it stands, the tool, the lamp.
 //!
 //! Invariant: the same for all rows of a picture.
 
@@ -15,7 +15,7 @@ pub(crate) struct Scenery<'a> {
     /// The tool's core, the tip's end first.
     pub(crate) core: [Point3<f64>; 2],
     pub(crate) warp: Warp,
-    /// Of the eye, m.
+    /// Distance of the eye from its place at rest, m.
     pub(crate) shift: Vector3<f64>,
 }
 

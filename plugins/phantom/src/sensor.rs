@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use crate::noise::Noise;
 
-/// How a force sensor errs, the same on each axis.
+/// Errors of a force sensor, the same on each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceErrors {
     /// Standard deviation of one sample, N.

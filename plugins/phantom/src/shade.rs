@@ -1,4 +1,4 @@
-//! How much light the tool's shadow takes from each pixel of a picture.
+//! Light that the tool's shadow takes from each pixel of a picture.
 //!
 //! Invariant: reckoned at the corners of small squares and mixed between them, since the edge of a shadow is
 //! many pixels soft; the corners' places are the same whatever part of a picture is drawn. Nothing is

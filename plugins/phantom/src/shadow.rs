@@ -32,7 +32,7 @@ pub(crate) fn of<'a>(
         if way.z < 0.5e-3 {
             return None;
         }
-        // How many times further than the tool the retina is.
+        // The retina is so many times further than the tool.
         let mut times = -lamp.z / way.z;
         for _ in 0..4 {
             let at = lamp + way * times;
@@ -49,8 +49,8 @@ pub(crate) fn of<'a>(
     })
 }
 
-/// How deep in the shadow `at` is, 0 to 1: the part of the lamp's round end that the tool hides from it, as
-/// if both were strips.
+/// Depth of `at` in the shadow, 0 to 1: the part of the lamp's round end that the tool hides from it, as if
+/// both were strips.
 pub(crate) fn depth(at: &Point3<f64>, lamp: &Lamp, tool: &Tool, core: &[Point3<f64>; 2]) -> f64 {
     let Near { apart_m, one, other } = nearest([at, &lamp.at], [&core[0], &core[1]]);
     let radius = tool.radius_at(other * (core[1] - core[0]).norm());
@@ -61,7 +61,7 @@ pub(crate) fn depth(at: &Point3<f64>, lamp: &Lamp, tool: &Tool, core: &[Point3<f
     dark * dark * (3.0 - 2.0 * dark)
 }
 
-/// Where two segments are nearest.
+/// The nearest places of two segments.
 struct Near {
     apart_m: f64,
     /// Part of each segment that lies before the nearest place.
@@ -149,7 +149,7 @@ mod tests {
         let soft = |height: f64| {
             let tool = tool(height);
             let core = tool.core();
-            // Where 2 mm of the taper are above the tip, across the shadow.
+            // The middle of the shadow 2 mm up the taper; places across it are tried.
             let (middle, _) = of(&tool, &lamp, 15, |_, _| 0.0).nth(1).expect("before the lamp");
             let partly = |n: &i32| {
                 let beside = f64::from(*n) * 1e-6;

@@ -1,4 +1,4 @@
-//! Where in a picture something may be that a line runs through: a tool, its shadow.
+//! Parts of a picture in which something may be that a line runs through: a tool, its shadow.
 //!
 //! Invariant: columns are marked generously and never too few; a row that is not marked has nothing of it.
 

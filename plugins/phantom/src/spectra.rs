@@ -111,7 +111,7 @@ impl Optics {
     }
 }
 
-/// What became of optics that cannot be simulated.
+/// Optics that cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BadOptics {
     /// Not a multiple of 128, or none at all.

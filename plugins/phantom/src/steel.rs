@@ -1,4 +1,4 @@
-//! What colour the tool's steel has where it is seen, and how much of a pixel it covers.
+//! The colour of the tool's steel where it is seen, and the part of a pixel that it covers.
 //!
 //! Invariant: a function of place and direction; a colour is told also a little beside the outline, where the
 //! edge is soft.
@@ -10,7 +10,7 @@ use crate::scenery::{Line, Scenery};
 
 /// Colour of the steel in white light, levels.
 const STEEL: [f64; 3] = [158.0, 161.0, 166.0];
-/// What the steel's sides mirror: the lit retina, levels.
+/// Mirror image in the steel's sides: the lit retina, levels.
 const RETINA: [f64; 3] = [120.0, 44.0, 28.0];
 /// The lamp's streak, its glow beside it, and the microscope's streak: levels, and how narrow each is.
 const STREAKS: [(f64, i32); 3] = [(190.0, 100), (34.0, 10), (46.0, 70)];
@@ -25,7 +25,7 @@ const THIN_PX: f64 = 18.0;
 /// No picture is wider, px.
 const FARTHEST_PX: f64 = 65_536.0;
 
-/// What a pixel shows of the tool.
+/// The tool as one pixel shows it.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Seen {
     /// Light from the tool: red, green, blue, levels.
@@ -38,7 +38,7 @@ pub(crate) struct Seen {
     pub(crate) clear: usize,
 }
 
-/// What column `x` of a line shows of the tool.
+/// Returns the tool as column `x` of a line shows it.
 pub(crate) fn seen(scenery: &Scenery<'_>, line: &Line<'_>, x: usize) -> Seen {
     let way = line.way(x).normalize();
     let (tool, camera) = (scenery.tool, &scenery.eye.camera);

@@ -1,4 +1,4 @@
-//! What light meets below a place of the retina: membrane, surface, layers, and the tissue between them.
+//! Echoes below a place of the retina: membrane, surface, layers, and the tissue between them.
 //!
 //! Invariant: echoes are given from the first to the deepest and are at most [`ECHOES`].
 
@@ -83,7 +83,7 @@ pub enum Layers {
     Outer,
 }
 
-/// How much light a place gives back beside a healthy one without vessels: amplitudes.
+/// Light that a place gives back beside a healthy one without vessels: amplitudes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shade {
     /// From the inner layers.

@@ -13,13 +13,13 @@ pub struct Tool {
     pub tip: Point3<f64>,
     /// From the shaft to the tip.
     pub axis: UnitVector3<f64>,
-    /// Of the shaft, m.
+    /// Radius of the shaft, m.
     pub radius_m: f64,
     /// From the tip to the end of what is drawn, m.
     pub length_m: f64,
 }
 
-/// How a line passes a tool: where it is nearest to the surface.
+/// A line that passes a tool: the place where it is nearest to the surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Passing {
     /// From the line to the surface, m; negative where the line goes through the tool.
@@ -33,7 +33,7 @@ pub struct Passing {
 impl Tool {
     /// Half the width of a 23 gauge instrument, m.
     pub const RADIUS_M: f64 = 0.3e-3;
-    /// How much of the shaft is drawn, m: a tool that is tilted by 20° leaves the picture before it ends.
+    /// Length of the shaft that is drawn, m: a tool tilted by 20° leaves the picture before it ends.
     pub const LENGTH_M: f64 = 30e-3;
     /// Radius of the round tip, m.
     pub const TIP_RADIUS_M: f64 = 60e-6;
@@ -94,7 +94,7 @@ impl Tool {
             for t in [(-k1 - root) / k2, (-k1 + root) / k2] {
                 // The ball that touches the cone there.
                 let ball = (a + b * t + tip * slope) / cos2;
-                // Where the line enters, and not where it leaves.
+                // The line enters there, and does not leave.
                 let enters = cos2 * (d + e * t) < (reach + b * slope * t) * b * slope;
                 if (0.0..=taper).contains(&ball) && enters {
                     return (t > 0.0).then_some(t);
@@ -121,7 +121,7 @@ impl Tool {
         (at - (front + up * ball)).normalize()
     }
 
-    /// How the line from `start` along `way` (a unit vector) passes the tool.
+    /// Returns the place where the line from `start` along `way` (a unit vector) passes the tool.
     pub fn pass(&self, start: &Point3<f64>, way: &Vector3<f64>) -> Passing {
         let ([front, _], up) = (self.core(), -self.axis.into_inner());
         let (from, taper) = (start - front, self.taper_m());

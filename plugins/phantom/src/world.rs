@@ -27,11 +27,11 @@ const BLOOD: f64 = 0.4;
 /// Longest way along the tool that is looked for the retina, m.
 const FARTHEST_M: f64 = 25e-3;
 
-/// How often the eye of the worlds `saccade` and `step` jumps, s.
+/// Time from one jump to the next of the eye of the worlds `saccade` and `step`, s.
 const AGAIN_S: f64 = 8.0;
-/// Of the world `saccade`: 0.3 mm to the side at 1 mm/s. Real ones are faster.
+/// Saccade of the world `saccade`: 0.3 mm to the side at 1 mm/s. Real ones are faster.
 const SACCADE: Saccade = Saccade { at_s: 0.0, by_m: 0.3e-3, speed_m_s: 1e-3 };
-/// Of the world `step`: 50 µm deeper at once.
+/// Step of the world `step`: 50 µm deeper at once.
 const STEP: Step = Step { at_s: 0.0, by_m: 50e-6 };
 
 /// One simulated world.
@@ -43,7 +43,7 @@ pub struct World {
     pub membrane: Membrane,
 }
 
-/// What the tool points at.
+/// The place of the eye that the tool points at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Below {
     /// From the tip to the first surface, membrane or ILM, along the tool, m.
@@ -55,7 +55,7 @@ pub struct Below {
     pub epithelium_m: f64,
     /// Height of the membrane there, m; 0 where there is none.
     pub membrane_m: f64,
-    /// Where on the eye, m: x and y of the ILM in the eye's own coordinates.
+    /// Place on the eye, m: x and y of the ILM in the eye's own coordinates.
     pub at_m: [f64; 2],
 }
 
@@ -123,7 +123,7 @@ impl World {
         Some(Below { distance_m, ilm_m, epithelium_m, membrane_m, at_m: [at.x, at.y] })
     }
 
-    /// What light from the tip meets along the tool.
+    /// Echoes of light from the tip along the tool.
     pub fn echoes(&self, below: &Below) -> Echoes {
         let [x, y] = below.at_m;
         // Along the tool the membrane lies as far before the ILM as the two distances say.
@@ -137,8 +137,8 @@ impl World {
         echoes(self.noise(streams::SPECKLE), &place, VITREOUS_INDEX)
     }
 
-    /// How much light the layers give back at `x`, `y` of the eye. Blood gives back more than the layers
-    /// beside it, and leaves less for what lies under a vessel; the inner layers end where the pit begins.
+    /// Light that the layers give back at `x`, `y` of the eye. Blood gives back more than the layers beside
+    /// it, and leaves less for what lies under a vessel; the inner layers end where the pit begins.
     pub fn shade(&self, x: f64, y: f64) -> Shade {
         let deep = ((self.eye.vessel_m(x, y) - VESSEL_M[0]) / (VESSEL_M[1] - VESSEL_M[0])).clamp(0.0, 1.0);
         let vessel = deep * deep * (3.0 - 2.0 * deep);

@@ -1,4 +1,4 @@
-//! What charts are drawn on: pixels in memory, with the letters of a bitmap font instead of the system's.
+//! The canvas of charts: pixels in memory, with the letters of a bitmap font instead of the system's.
 //!
 //! Invariant: whatever is drawn, only pixels of the canvas are written.
 

@@ -31,7 +31,7 @@ pub(crate) struct Curve {
     pub(crate) points: Vec<(f64, f64)>,
 }
 
-/// What is drawn.
+/// A chart to be drawn.
 pub(crate) struct Chart {
     pub(crate) title: String,
     pub(crate) y_label: String,

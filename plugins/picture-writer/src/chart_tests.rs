@@ -1,4 +1,4 @@
-//! What is in the picture: curves where their points are, axes, letters, a legend.
+//! Tests of the picture: curves where their points are, axes, letters, a legend.
 
 use super::*;
 

@@ -23,7 +23,7 @@ const VIRIDIS: [[u8; 3]; 9] = [
     [253, 231, 37],
 ];
 
-/// Where no depth is known: grey with lines of another grey.
+/// Colours where no depth is known: grey with lines of another grey.
 pub(crate) const GAP: [[u8; 3]; 2] = [[38, 38, 38], [74, 74, 74]];
 /// From one line of the hatching to the next, px.
 const HATCH: usize = 8;
@@ -51,7 +51,7 @@ const STEPS: f64 = 8.0;
 /// Narrowest range, m: with less, the figures of the bar do not differ.
 const NARROWEST: f64 = 6e-6;
 
-/// What the colours count from, and how far they go.
+/// The plane that the colours count from, and the range that they cover.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Settings {
     /// The plane that is 0, m from the cameras; none: the median of the frame.
@@ -82,7 +82,7 @@ impl Scale {
         let [near, far] = settings.range_m.unwrap_or(ends);
         let wide = (far - near).max(NARROWEST);
         let step_m = round_up(wide / STEPS);
-        // What a float adds to a depth makes no step more.
+        // The rounding errors of a float make no step more.
         let down = |at: f64| (at / step_m + 1e-3).floor() * step_m;
         let up = |at: f64| (at / step_m - 1e-3).ceil() * step_m;
         let range_m = settings.range_m.unwrap_or([down(near), up(near + wide)]);

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use trocar_sdk::prelude::*;
 
-/// What `save` is asked for.
+/// A picture that `save` is asked for.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct SaveRequest {
@@ -18,14 +18,14 @@ pub struct SaveRequest {
     pub path: Text<1024>,
 }
 
-/// What `save` has written.
+/// A picture that `save` has written.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct SavedPicture {
-    /// Of the file.
+    /// Size of the file.
     #[unit("B")]
     pub bytes: u64,
-    /// How old the newest of what is shown was: a picture that stands still is written, too.
+    /// Age of the newest part of the picture: a picture that stands still is written, too.
     #[unit("s")]
     pub age: f64,
     #[unit("px")]

@@ -15,7 +15,7 @@ struct PictureWriterConfig {
     /// Which images of a pair are written: both side by side, or one
     #[config(live, one_of = ["both", "left", "right"], default = "both")]
     part: String,
-    /// What pictures of depth count from, as the distance from the cameras; none: the median of the frame
+    /// Plane that pictures of depth count from, as distance from the cameras; none: the median of the frame
     #[config(live, unit = "m", default = None)]
     plane_m: Option<f64>,
     /// First and last colour of pictures of depth, counted from that plane; nothing: the frame decides
@@ -100,14 +100,14 @@ fn one_for_both(of: &ImageHeader) -> StereoHeader {
 }
 
 impl PictureWriterConfig {
-    /// How depth is drawn.
+    /// Settings of depth images.
     fn depth(&self) -> Settings {
         let range_m = self.depth_range_m.first_chunk().copied();
         Settings { plane_m: self.plane_m, range_m }
     }
 
     /// # Errors
-    /// What is no range.
+    /// `depth_range_m` is no range.
     fn check(&self) -> Result<(), String> {
         match self.depth_range_m[..] {
             [] => Ok(()),

@@ -26,19 +26,19 @@ struct PlotConfig {
     /// there is none
     #[config(default = [])]
     valid: Vec<String>,
-    /// What is taken from the numbers of `a`, `b`, `c`, `d` first; 0 where nothing is said
+    /// Numbers taken from those of `a`, `b`, `c`, `d` first; 0 where nothing is said
     #[config(live, default = [])]
     offsets: Vec<f64>,
-    /// What the rest is multiplied by, 1e6 to see metres as micrometres; 1 where nothing is said
+    /// Factors of the rest, 1e6 to see metres as micrometres; 1 where nothing is said
     #[config(live, default = [])]
     scales: Vec<f64>,
-    /// How the curves are called in the legend; nothing: as the inputs
+    /// Names of the curves in the legend; nothing: as the inputs
     #[config(live, default = [])]
     labels: Vec<String>,
     /// Points that are kept of each curve; the oldest give way
     #[config(min = 2, max = 1_000_000, default = 100_000)]
     keep: usize,
-    /// How much of the past is drawn; 0 for all that is kept
+    /// Length of the past that is drawn; 0 for all that is kept
     #[config(live, min = 0.0, max = 1e6, unit = "s", default = 0.0)]
     window_s: f64,
     /// Above the picture
@@ -108,7 +108,7 @@ struct Series {
     place: Option<Place>,
     /// And where the flag is.
     valid: Option<Place>,
-    /// What is said where there is no such number, and no such flag.
+    /// Sentences for a missing number and for a missing flag.
     missing: [Text<160>; 2],
 }
 
@@ -203,7 +203,7 @@ fn of(list: &[f64], n: usize, other: f64) -> f64 {
 }
 
 impl PlotConfig {
-    /// Where the number of an input is, and the flag beside it.
+    /// Paths of the number of an input, and of the flag beside it.
     fn places(&self, n: usize) -> (&str, &str) {
         (self.fields.get(n).map_or("", String::as_str), self.valid.get(n).map_or("", String::as_str))
     }

@@ -12,7 +12,7 @@ use trocar_sdk::Result;
 
 use crate::file::SavedPicture;
 
-/// How long an answer is waited for; the class says `max_step_ms` above it.
+/// Longest time that an answer is waited for; the class says `max_step_ms` above it.
 const PATIENCE: Duration = Duration::from_secs(8);
 
 /// Makes pictures; one at a time.
@@ -43,7 +43,7 @@ impl Saving {
         self.thread = Some(thread);
         match told.recv_timeout(PATIENCE) {
             Ok(saved) => {
-                // It has nothing left to do but to end.
+                // The thread has nothing left to do but to end.
                 self.end();
                 Ok(saved?)
             }

@@ -1,4 +1,4 @@
-//! What is remembered of a number over time, and which of it a picture needs.
+//! The memory of a number over time, and the points of it that a picture needs.
 //!
 //! Invariant: room is made once, the oldest gives way; thinned points keep every peak that a pixel column
 //! holds.

@@ -30,7 +30,7 @@ fn file(path: &Path) -> std::io::Result<File> {
 /// Writes `n` messages of `len` bytes as a recorder does: how long it takes, s.
 ///
 /// # Errors
-/// What the file system says.
+/// The sentence of the file system.
 pub fn ours(path: &Path, n: u64, len: usize) -> std::io::Result<f64> {
     let (mut way, orders, returns) = way(LIMIT);
     let (tell, _news) = std::sync::mpsc::channel();
@@ -70,7 +70,7 @@ pub fn ours(path: &Path, n: u64, len: usize) -> std::io::Result<f64> {
 /// The same by the crate alone, with its chunks of 64 KiB.
 ///
 /// # Errors
-/// What the file system says.
+/// The sentence of the file system.
 pub fn bare(path: &Path, n: u64, len: usize) -> std::io::Result<f64> {
     let message = vec![7u8; len];
     let file = file(path)?;

@@ -1,4 +1,4 @@
-//! How the samples of one input are encoded: as messages that viewers know, or as messages of their own type.
+//! The encoding of one input's samples: as messages that viewers know, or as messages of their own type.
 //!
 //! Invariant: a sample is encoded by the type of its connection, or not at all.
 

@@ -168,7 +168,7 @@ impl McapFile {
     /// A topic: its number. Topics of the same schema share it.
     ///
     /// # Errors
-    /// What the disk says; there are more than a file can have.
+    /// The error of the disk, or there are more than a file can have.
     pub(crate) fn add(
         &mut self,
         topic: &str,

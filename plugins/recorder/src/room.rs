@@ -38,7 +38,7 @@ impl Room {
     /// Whether the file can grow up to `end` bytes.
     ///
     /// # Errors
-    /// What the system says that is not about room.
+    /// The error of the system, if it is not about room.
     pub(crate) fn ensure(&mut self, end: u64) -> io::Result<bool> {
         if end <= self.promised {
             return Ok(true);

@@ -92,7 +92,7 @@ impl RecorderConfig {
 /// A time that was asked for, ns.
 ///
 /// # Errors
-/// It is none, or too long.
+/// The number is no duration, or too long.
 pub(crate) fn seconds(what: &str, s: f64) -> Result<u64> {
     if s.is_finite() && (0.0..=LONGEST_S).contains(&s) {
         return Ok((s * 1e9) as u64);
@@ -103,7 +103,7 @@ pub(crate) fn seconds(what: &str, s: f64) -> Result<u64> {
 /// The limit that keeps at most so many samples a second; 0 Hz keeps all.
 ///
 /// # Errors
-/// It is no rate.
+/// The number is no rate.
 pub(crate) fn rate_limit(what: &str, rate_hz: f64) -> Result<RateLimit> {
     if rate_hz == 0.0 || (1e-4..=1e6).contains(&rate_hz) {
         return Ok(RateLimit::new(rate_hz));

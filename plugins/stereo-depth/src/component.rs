@@ -157,7 +157,7 @@ impl StereoDepth {
 
 impl Component for StereoDepth {
     fn configure(&mut self) -> Result {
-        // Whatever can refuse comes before the first change: a refused setting leaves all as it was.
+        // All checks that can refuse come before the first change: a refused setting leaves all as it was.
         let scale = self.cfg.scale()?;
         let StereoDepthConfig { width, height, .. } = self.cfg;
         let settings = self.cfg.settings();
@@ -275,7 +275,7 @@ impl StereoDepthConfig {
         Settings { method, n_disp, block, p1, p2, uniqueness, texture, consistency, dark }
     }
 
-    /// What a disparity is worth, when the cameras are known.
+    /// The depth of a disparity, when the cameras are known.
     fn scale(&self) -> Result<Option<Depth>> {
         let Self { focal_px, baseline_m, offset_px, n_disp, width, height, .. } = *self;
         if self.calibration.is_empty() {

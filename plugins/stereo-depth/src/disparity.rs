@@ -1,4 +1,4 @@
-//! What a disparity is: its scale, its missing value, and the depth it means.
+//! Disparities: their scale, their missing value, and the depth they mean.
 //!
 //! Invariant: a depth is positive or not a number; there is no depth for a disparity at or beyond infinity.
 

@@ -13,7 +13,7 @@ use crate::semi_global::SemiGlobal;
 use crate::settings::{BadSettings, Method, Settings};
 use crate::simd;
 
-/// How far a census looks, and the paths beside it carry what it saw at an edge.
+/// Distance that a census looks to, and that the paths beside it carry what it saw at an edge.
 const CENSUS_REACH_PX: usize = 4;
 
 /// Finds disparities of rectified pairs of one size.
@@ -83,7 +83,7 @@ impl Matcher {
         (self.width, self.height)
     }
 
-    /// What it was made with.
+    /// The settings that it was made with.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }

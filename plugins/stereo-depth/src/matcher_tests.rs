@@ -162,7 +162,7 @@ fn a_flat_image_has_no_disparity_where_texture_is_asked_for() {
     let map = flat.matched(Matcher::new(80, 40, settings(Method::Bm)).unwrap());
     assert!(map.iter().all(|&d| d < 0));
     let map = flat.matched(Matcher::new(80, 40, settings(Method::Sgm)).unwrap());
-    // Where one disparity only can be, there is nothing to choose.
+    // A pixel that can have one disparity only has nothing to choose from.
     assert!(map.chunks(80).all(|row| row[2..].iter().all(|&d| d < 0)), "no disparity is better than another");
 }
 

@@ -34,7 +34,7 @@ const HEIGHT: usize = 288;
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=20;
 /// Random numbers of the scenes.
 const STREAM: u64 = 0x6234;
-/// Where the tip is in the picture is known from the robot, and that is off by up to so much, px (50 µm).
+/// The robot tells the place of the tip in the picture with an error of up to so much, px (50 µm).
 const REGISTRATION_PX: f64 = 5.0;
 /// Part of the taper whose depths count, m along the core: there the tool is about as wide as a window of 15
 /// px.
@@ -82,8 +82,8 @@ impl View {
         matched(&self.world, &self.rig, &self.scene, method)
     }
 
-    /// Where a pixel lies beside the tool: m along the core from its front end, as if it were on it; px
-    /// across the core; and the radius of the tool there, px. The robot says so, with the error of the
+    /// Place of a pixel beside the tool: m along the core from its front end, as if it were on it; px across
+    /// the core; and the radius of the tool there, px. The robot tells it, with the error of the
     /// registration.
     fn beside(&self, at: usize) -> [f64; 3] {
         let (camera, front) = (&self.rig.cameras[0], self.tool.core()[0]);

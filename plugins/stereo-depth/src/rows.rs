@@ -1,15 +1,15 @@
-//! What the matchers exchange about one row, and the choice of the best disparity in plain code.
+//! Rows that the matchers exchange, and the choice of the best disparity in plain code.
 //!
 //! Invariant: `pick` is the rule; the wide one in `wide` gives the same for the same sums.
 
 use crate::disparity::{NONE, between_lines};
 
-/// What was found for a pixel.
+/// The disparity found for a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Found {
     /// 1/16 px, or [`NONE`].
     pub(crate) disparity: i16,
-    /// What it costs; 0xFFFF where there is none.
+    /// Cost of the disparity; 0xFFFF where there is none.
     pub(crate) cost: u16,
 }
 

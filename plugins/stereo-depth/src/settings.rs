@@ -1,4 +1,4 @@
-//! What a matcher is told: method, range and strictness.
+//! Settings of a matcher: method, range and strictness.
 //!
 //! Invariant: settings that pass `check` overflow no sum of the matchers.
 
@@ -11,7 +11,7 @@ pub(crate) const MAX_BLOCK: usize = 31;
 /// Largest penalty: costs along two paths, 2 · (24 + 103), fit a byte.
 pub(crate) const MAX_P2: u8 = 103;
 
-/// How a pixel finds its partner.
+/// Method by which a pixel finds its partner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// Sum of absolute differences over a window; fast, blind where there is no texture.
@@ -23,7 +23,7 @@ pub enum Method {
 /// Settings of a matcher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// How.
+    /// Method of the matching.
     pub method: Method,
     /// Disparities looked at: 0 to `n_disp` − 1 px. A multiple of 32, up to 256.
     pub n_disp: usize,

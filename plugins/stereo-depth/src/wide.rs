@@ -12,7 +12,7 @@ use crate::simd::{Block, store};
 /// Sums of all disparities of a pixel.
 pub(crate) type Sums<const NV: usize> = [[__m256i; 2]; NV];
 
-/// Where the sum of a disparity lies.
+/// Place of the sum of a disparity: vector, half and lane.
 #[inline(always)]
 fn place(d: usize) -> (usize, usize, usize) {
     (d / 32, (d >> 3) & 1, ((d >> 4) & 1) * 8 + (d & 7))

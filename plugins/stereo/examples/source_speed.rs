@@ -1,4 +1,4 @@
-//! How fast the sources are on the bench: `cargo run --release -p trocar-stereo --example source_speed`.
+//! Speed of the sources on the bench: `cargo run --release -p trocar-stereo --example source_speed`.
 //!
 //! Invariant: pairs of 1024 × 768 RGB8. The bench keeps a copy of each frame, which is in these figures and
 //! not in a host's.

@@ -1,4 +1,5 @@
-//! What threads do for the simulated source before it is due: the picture at rest, and pairs without a tool.
+//! Work that threads do for the simulated source before it is due: the picture at rest, and pairs without a
+//! tool.
 //!
 //! Invariant: a bare pair is a function of its stamp and number, so it is the same whoever draws it, and
 //! when. The step neither waits nor wakes: it asks, and later takes what is there.
@@ -18,9 +19,9 @@ use trocar_sdk::prelude::*;
 /// Buffers that go round. With one there is no wish while an earlier one is not fulfilled: on a busy machine,
 /// where the step draws what is late itself, nothing piles up.
 const BUFFERS: usize = 1;
-/// How often the thread looks whether it is asked, once a wish may come.
+/// The thread looks so often whether it is asked, once a wish may come.
 const LOOKS: Duration = Duration::from_millis(1);
-/// It sleeps at most so long: whoever ends it waits for that.
+/// The thread sleeps at most so long: its end waits for that.
 const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
 /// A pair, or the wish for one: both pictures' rows of red, green, blue, the left one's first.

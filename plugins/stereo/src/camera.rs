@@ -24,7 +24,7 @@ struct CameraConfig {
     /// Rows of one image
     #[config(min = 1, max = 16384, unit = "px", default = 480)]
     height: u32,
-    /// How pixels lie in memory; `mjpg`: the camera sends JPEGs, which become RGB8
+    /// Layout of the pixels in memory; `mjpg`: the camera sends JPEGs, which become RGB8
     #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv", "mjpg"], default = "yuyv")]
     format: String,
     /// Layout of the pair in a frame. `mono`: one image for both eyes; `side_by_side`: rows twice as wide;
@@ -43,7 +43,7 @@ struct CameraConfig {
     /// Whether a device that failed is opened again
     #[config(default = true)]
     restart: bool,
-    /// How long after it failed; each time twice as long, until it ran for longer than that
+    /// Time from a failure to the next try; each time twice as long, until it ran for longer than that
     #[config(min = 0.01, max = 3600.0, unit = "s", default = 1.0)]
     restart_delay_s: f64,
     /// And never longer than this
@@ -81,7 +81,7 @@ pub struct Camera {
     live: Live,
 }
 
-/// What the camera sees and sent, and how it is.
+/// Images, counts and state of the camera.
 #[provides("camera")]
 impl Camera {
     /// Size of one image and the rate at which they come.

@@ -16,7 +16,7 @@ const BUFFERS: usize = 4;
 /// Words of trouble that wait for the step; more are left out.
 const NOTICES: usize = 8;
 
-/// Where frames come from.
+/// A device that frames come from.
 pub(crate) trait Source: Send + 'static {
     /// The open device.
     type Session: Send;
@@ -35,7 +35,7 @@ pub(crate) struct Shot {
     pub(crate) number: u64,
 }
 
-/// How the device is.
+/// State of the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Notice {
     /// Frames come (again).
@@ -92,7 +92,7 @@ impl Feed {
         let _ = self.empty.try_send(bytes);
     }
 
-    /// What happened to the device since the last asking, one after the other.
+    /// The next change of the device since the last asking, one after the other.
     pub(crate) fn notice(&mut self) -> Option<Notice> {
         self.notices.try_recv().ok()
     }

@@ -1,11 +1,11 @@
-//! How a raw frame of a camera holds the two images of a pair.
+//! The layout of the two images of a pair in a raw frame of a camera.
 //!
 //! Invariant: a frame is handed on byte by byte as it came; the header says where the images lie in it.
 
 use trocar_sdk::data::{PixelFormat, StereoHeader};
 use trocar_sdk::prelude::*;
 
-/// Where the images lie.
+/// The arrangement of the images in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Arrangement {
     /// One image, for both eyes.
@@ -19,7 +19,7 @@ pub(crate) enum Arrangement {
 /// Size, format and arrangement of raw frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Layout {
-    /// Of one image.
+    /// Size of one image, px.
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) format: PixelFormat,

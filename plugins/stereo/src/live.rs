@@ -13,7 +13,7 @@ use crate::layout::Layout;
 /// Frames of an output's pool: one in the making, the rest held by readers.
 const SLOTS: u32 = 6;
 
-/// What became of the frames.
+/// Counts of frames sent and left out, and of failures.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Sent {
@@ -21,7 +21,7 @@ pub struct Sent {
     pub emitted: u64,
     /// Frames not sent since Start: readers held all frames, or the step came too late.
     pub left_out: u64,
-    /// How often the device failed since Start.
+    /// Failures of the device since Start.
     pub failures: u64,
 }
 
@@ -30,7 +30,7 @@ pub struct Sent {
 pub(crate) struct Live {
     layout: Option<Layout>,
     feed: Option<Feed>,
-    /// Of the frame sent before: its stamp, and the number that comes next.
+    /// Stamp of the frame sent before, and the number that comes next.
     last: (Stamp, u64),
 }
 

@@ -22,7 +22,7 @@ pub enum Format {
     Rgb8,
 }
 
-/// What format the pictures are brought to.
+/// Format that the pictures are brought to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Want {
     /// Gray8 when every file is grey, else Rgb8.
@@ -34,7 +34,7 @@ pub enum Want {
 /// One pair.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pair {
-    /// What follows `left` and `right` in the file names, without extension.
+    /// Part of the file names behind `left` and `right`, without extension.
     pub name: String,
     /// Rows of the left picture, then rows of the right one, without padding.
     pub bytes: Box<[u8]>,
@@ -162,7 +162,7 @@ fn partner(path: &Path, side: &str, other: &str) -> String {
 fn decode(path: &Path) -> Result<DynamicImage, LoadError> {
     let unreadable = |why: String| LoadError::Unreadable { path: path.into(), why };
     let reader = ImageReader::open(path).map_err(|e| unreadable(e.to_string()))?;
-    // What the bytes say counts, not the extension.
+    // The bytes decide on the format, not the extension.
     let reader = reader.with_guessed_format().map_err(|e| unreadable(e.to_string()))?;
     let picture = reader.decode().map_err(|e| unreadable(e.to_string()))?;
     if picture.width() == 0 || picture.height() == 0 {
@@ -176,14 +176,14 @@ fn decode(path: &Path) -> Result<DynamicImage, LoadError> {
 pub enum LoadError {
     /// The folder cannot be listed.
     Folder {
-        /// What was asked.
+        /// The folder as it was given.
         folder: PathBuf,
-        /// What the system said.
+        /// The sentence of the system.
         why: String,
     },
     /// The folder has no `left*`/`right*` pictures.
     NoPairs {
-        /// What was asked.
+        /// The folder as it was given.
         folder: PathBuf,
         /// Entries that are something else.
         others: usize,
@@ -215,12 +215,12 @@ pub enum LoadError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the decoder said.
+        /// The sentence of the decoder.
         why: String,
     },
     /// The pictures need more than [`MAX_BYTES`].
     TooMuch {
-        /// What was asked.
+        /// The folder as it was given.
         folder: PathBuf,
         /// The picture that went over.
         path: PathBuf,

@@ -34,7 +34,7 @@ pub(crate) struct PhantomSourceConfig {
     /// Rows of one image, an even number
     #[config(min = 32, max = 4096, unit = "px", default = 768)]
     height: usize,
-    /// How pixels lie in memory
+    /// Layout of the pixels in memory
     #[config(one_of = ["rgb8", "bayer_rg8", "yuyv"], default = "rgb8")]
     format: String,
     /// `rectified`: rows match, no lens errors. `toed_in`: what a microscope gives before rectification
@@ -46,7 +46,7 @@ pub(crate) struct PhantomSourceConfig {
     /// Half the width of the tool
     #[config(min = 0.00005, max = 0.002, unit = "m", default = 0.0003)]
     tool_radius_m: f64,
-    /// How much of the tool's shaft is drawn
+    /// Length of the tool's shaft that is drawn
     #[config(min = 0.001, max = 0.1, unit = "m", default = 0.03)]
     tool_length_m: f64,
 }
@@ -91,7 +91,7 @@ pub struct PhantomSource {
     ahead: Option<Ahead>,
     tracing: Option<Tracing>,
     renderer: Option<Renderer>,
-    /// What the renderer was made of.
+    /// World and rig that the renderer was made of.
     made_of: Option<(World, Rig)>,
     /// Disparity in the making.
     units: Vec<u16>,
@@ -150,7 +150,7 @@ impl PhantomSource {
 
     /// The tool as it stands at `now`.
     fn tool(&mut self, now: Stamp) -> Option<Tool> {
-        // Of a tip that is told no more the tool stands still.
+        // The tool stands still when its tip is not told any more.
         let pose = self.tip.latest()?.carried(now).ok()?.isometry;
         Some(Tool {
             tip: Point3::from(pose.translation.vector),

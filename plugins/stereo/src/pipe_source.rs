@@ -24,7 +24,7 @@ struct PipeSourceConfig {
     /// Rows of one image
     #[config(min = 1, max = 16384, unit = "px")]
     height: u32,
-    /// How pixels lie in memory
+    /// Layout of the pixels in memory
     #[config(one_of = ["gray8", "rgb8", "bgr8", "bayer_rg8", "yuyv"], default = "rgb8")]
     format: String,
     /// Layout of the pair in a frame. `mono`: one image for both eyes; `side_by_side`: rows twice as wide;
@@ -40,7 +40,7 @@ struct PipeSourceConfig {
     /// Whether the program is run again: when it ended or stalled, or did not start any more
     #[config(default = true)]
     restart: bool,
-    /// How long after it failed; each time twice as long, until it ran for longer than that
+    /// Time from a failure to the next run; each time twice as long, until it ran for longer than that
     #[config(min = 0.01, max = 3600.0, unit = "s", default = 1.0)]
     restart_delay_s: f64,
     /// And never longer than this
@@ -79,7 +79,7 @@ pub struct PipeSource {
     live: Live,
 }
 
-/// What the program sends, and how it is.
+/// Images, counts and state of the program.
 #[provides("camera")]
 impl PipeSource {
     /// Size of one image and the rate at which they come.

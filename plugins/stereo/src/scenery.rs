@@ -1,11 +1,11 @@
-//! How the cameras of the simulated source stand, as its readers need it.
+//! The geometry of the simulated source's cameras, as its readers need it.
 //!
 //! Invariant: functions of a rig alone.
 
 use trocar_phantom::camera::{BASELINE_M, Lens, Rig};
 use trocar_sdk::prelude::*;
 
-/// What leads from a disparity to a distance, and from a pixel to a direction.
+/// The way from a disparity to a distance, and from a pixel to a direction.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct StereoGeometry {
@@ -18,7 +18,7 @@ pub struct StereoGeometry {
     /// being the left column less the right one; 0 for any other pair.
     #[unit("px")]
     pub offset_px: f64,
-    /// Where the axis meets the left image: column, row.
+    /// Point where the axis meets the left image: column, row.
     #[unit("px")]
     pub centre_left_px: [f64; 2],
     /// As above, of the right image.

@@ -6,7 +6,7 @@ use trocar_imaging::simd::Avx2;
 use trocar_imaging::{luma, luma_row, yuyv};
 use trocar_sdk::data::PixelFormat;
 
-/// What a row of pixels is made to.
+/// Format that a row of pixels is brought to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum To {
     /// Brightness.

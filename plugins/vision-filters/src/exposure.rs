@@ -4,7 +4,7 @@
 
 use crate::view::ViewMut;
 
-/// What becomes of each level.
+/// The new value of each level.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Curve([u8; 256]);
 

@@ -4,7 +4,7 @@
 
 use crate::view::ViewMut;
 
-/// How an image is mirrored.
+/// Direction in which an image is mirrored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flip {
     /// Left to right.

@@ -1,4 +1,4 @@
-//! What is drawn, where, and that nothing is drawn outside.
+//! Tests of what is drawn, where, and that nothing is drawn outside.
 
 use super::*;
 use crate::view::Shape;

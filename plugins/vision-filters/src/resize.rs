@@ -10,7 +10,7 @@ const COLUMN_BITS: u32 = 12;
 const ROW_BITS: u32 = 11;
 const SHIFT: u32 = COLUMN_BITS + ROW_BITS;
 
-/// How output pixels are made.
+/// Method by which output pixels are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// Between the four nearest pixels. Smooth when enlarging; aliases when shrinking below one half.

@@ -39,7 +39,7 @@ pub struct PixelSize {
 /// A scale bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bar {
-    /// What it stands for, m: 1, 2 or 5 times a power of ten.
+    /// Length that the bar stands for, m: 1, 2 or 5 times a power of ten.
     pub length_m: f64,
     /// Its length, px.
     pub px: f64,

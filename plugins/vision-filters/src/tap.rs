@@ -5,7 +5,7 @@
 /// Steps between two input pixels.
 pub(crate) const STEPS: i32 = 32;
 
-/// Where an output pixel comes from.
+/// The place in the input that an output pixel is made from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub(crate) struct Tap {
@@ -13,8 +13,8 @@ pub(crate) struct Tap {
     pub(crate) x: i16,
     /// Its row.
     pub(crate) y: i16,
-    /// How far to the right of it, 1/32 px.
+    /// Distance to the right of it, 1/32 px.
     pub(crate) fx: u8,
-    /// How far below it.
+    /// Distance below it.
     pub(crate) fy: u8,
 }

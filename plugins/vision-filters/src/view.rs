@@ -7,7 +7,7 @@ use std::fmt;
 
 use trocar_sdk::data::{BadFrame, ImageHeader, ImageView, PixelFormat};
 
-/// How a pixel lies in memory.
+/// Layout of a pixel in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// One byte of brightness.
@@ -33,7 +33,7 @@ impl Format {
         }
     }
 
-    /// What a header says; none when it is another format.
+    /// The format that a header says; none when it is another one.
     pub const fn of(format: PixelFormat) -> Option<Format> {
         match format {
             PixelFormat::GRAY8 => Some(Format::Gray8),
@@ -93,7 +93,7 @@ impl<'a> View<'a> {
     /// # Errors
     /// No pixels, a stride below one row, or fewer bytes than the rows need.
     pub fn new(shape: Shape, stride: usize, bytes: &'a [u8]) -> Result<Self, BadFrame> {
-        // What is beyond a header's numbers is beyond the bytes, too.
+        // A number beyond a header's range is beyond the bytes, too.
         let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         let (width, height, stride) = (number(shape.width), number(shape.height), number(stride));
         let format = shape.format.in_header();

@@ -67,9 +67,9 @@ fn pictures(rig: Rig, scene: &Scene) -> [Vec<u8>; 2] {
     })
 }
 
-/// How many rows lower `seen` lies than `real`, px: least squares of differences along the vertical gradient
-/// (Lucas and Kanade, 1981), of a part of both pictures. The edge of the round field is no part of the eye:
-/// it stays where the sensor is.
+/// Number of rows by which `seen` lies lower than `real`, px: least squares of differences along the vertical
+/// gradient (Lucas and Kanade, 1981), of a part of both pictures. The edge of the round field is no part of
+/// the eye: it stays where the sensor is.
 fn rows_off(seen: &[u8], real: &[u8], columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> f64 {
     let (mut up, mut down) = (0.0, 0.0);
     let (middle, radius) = Rig::rectified(WIDTH, HEIGHT).field_px();

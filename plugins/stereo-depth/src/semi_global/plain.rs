@@ -12,7 +12,7 @@ pub(crate) struct Plain {
     here: [Vec<u8>; 3],
     costs: Vec<u8>,
     sums: Vec<u16>,
-    /// Of the path along the row: before, and here.
+    /// Costs of the path along the row: before, and here.
     along: [Vec<u8>; 2],
 }
 

@@ -127,7 +127,7 @@ fn costs_of<const NV: usize>(row: &CensusRow<'_>, width: usize, x: usize) -> Cos
     costs
 }
 
-/// How many bits of each byte are set.
+/// Counts the bits of each byte that are set.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn ones(v: __m256i) -> __m256i {

@@ -12,7 +12,7 @@ use crate::view::ViewMut;
 
 #[derive(Config)]
 struct FlipConfig {
-    /// How the images are mirrored; `both` is half a turn
+    /// Direction in which the images are mirrored; `both` is half a turn
     #[config(live, one_of = ["none", "horizontal", "vertical", "both"], default = "horizontal")]
     direction: String,
     /// Whether left and right image change places, too: seen in a mirror, they do

@@ -58,16 +58,16 @@ pub(super) struct Scaled {
     bytes: Vec<u8>,
     /// Longest sides of the result, px.
     most: (usize, usize),
-    /// What lies there, or was found unfit: which inset, for which width and height.
+    /// The inset that lies there, or was found unfit, and the width and height it was asked for.
     last: Option<(Which, [u32; 2], Result<Kept, Unfit>)>,
 }
 
-/// What became of an inset.
+/// The result of bringing an inset to its size.
 #[derive(Clone, Copy)]
 enum Kept {
-    /// It has the size it came with: nothing is kept.
+    /// The inset has the size it came with: nothing is kept.
     AsItCame,
-    /// It lies there in this shape; one image serves both eyes, or not.
+    /// The inset lies there in this shape; one image serves both eyes, or not.
     Here { shape: Shape, one: bool },
 }
 

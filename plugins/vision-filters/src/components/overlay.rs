@@ -130,7 +130,7 @@ impl Component for Overlay {
             self.pictures = self.cfg.pictures.iter().map(|path| load(path)).collect::<Result<_>>()?;
             self.files.clone_from(&self.cfg.pictures);
         }
-        // What shows a picture that is no longer there goes with it.
+        // An item that shows a picture which is no longer there goes with it.
         let there = self.pictures.len();
         for place in &mut self.drawn {
             if matches!(place, Some(Item::Picture(p)) if p.picture as usize >= there) {

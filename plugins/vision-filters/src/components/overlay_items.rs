@@ -1,4 +1,4 @@
-//! What `overlay` can draw: its payloads, the places of its items, the files of its pictures.
+//! Items that `overlay` can draw: their payloads, their places, the files of the pictures.
 //!
 //! Invariant: an item that has a place is drawn in the eyes it names, and touches no pixel outside of the
 //! image.
@@ -40,7 +40,7 @@ pub struct OverlayText {
     /// Red, green, blue, opacity: 255 hides what is below.
     pub color: [u8; 4],
     pub eye: Eye,
-    /// How much further left the item is in the right image: the disparity of what it stands beside.
+    /// Distance by which the item is further left in the right image: the disparity of what it stands beside.
     #[unit("px")]
     pub disparity: i32,
     pub reserved: u32,
@@ -64,7 +64,7 @@ pub struct OverlayLine {
     /// Red, green, blue, opacity: 255 hides what is below.
     pub color: [u8; 4],
     pub eye: Eye,
-    /// How much further left the item is in the right image.
+    /// Distance by which the item is further left in the right image.
     #[unit("px")]
     pub disparity: i32,
 }
@@ -86,12 +86,12 @@ pub struct OverlayPicture {
     /// Opacity beside the picture's own, 0 to 255.
     pub alpha: u32,
     pub eye: Eye,
-    /// How much further left the item is in the right image.
+    /// Distance by which the item is further left in the right image.
     #[unit("px")]
     pub disparity: i32,
 }
 
-/// What has a number.
+/// An item with a number.
 #[derive(Clone, Copy)]
 pub(super) enum Item {
     Text(OverlayText),

@@ -75,7 +75,7 @@ impl From<BadFrame> for Unfit {
     }
 }
 
-/// What became of the frames of a filter.
+/// Counts of the frames of a filter.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct Tally {

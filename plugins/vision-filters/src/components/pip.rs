@@ -13,7 +13,7 @@ use crate::pip::lay;
 use crate::scale::{self, PixelSize};
 use crate::view::ViewMut;
 
-/// Where the inset is, how large, and how much of the picture below it shows through.
+/// Place and size of the inset, and how much of the picture below it shows through.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct PipRect {
@@ -47,7 +47,7 @@ struct PipConfig {
     /// Height of the inset, at most max_height; 0: as it comes
     #[config(live, min = 0, max = 16384, unit = "px", default = 0)]
     h: u32,
-    /// How much the inset hides: 0 nothing, 1 all
+    /// Opacity of the inset: 0 hides nothing, 1 all
     #[config(live, min = 0, max = 1, default = 1.0)]
     alpha: f64,
     /// From one column of the inset to the next, as it comes; with it the inset has an axis and a scale bar.
@@ -57,8 +57,8 @@ struct PipConfig {
     /// From one row to the next; with it the inset has an axis down its left side
     #[config(live, min = 0, max = 1, unit = "m", default = 0.0)]
     rows_m: f64,
-    /// How much larger lengths down are shown than lengths across: 1 is true to scale. With columns_m and
-    /// rows_m it says the height, in place of h. 0: the height is that of h
+    /// Ratio of the scale down to the scale across: 1 is true to scale. With columns_m and rows_m it says the
+    /// height, in place of h. 0: the height is that of h
     #[config(live, min = 0, max = 100, default = 0.0)]
     stretch: f64,
     /// Whether the inset is shown
@@ -96,7 +96,7 @@ pub struct Pip {
     /// Insets that were brought to their size, and those that could not be shown.
     #[state]
     insets: Tally,
-    /// Where the inset is: as configured or commanded last.
+    /// Place of the inset: as configured or commanded last.
     #[state]
     rect: PipRect,
     #[config]
@@ -123,7 +123,7 @@ impl Pip {
     fn set_visible(&mut self, visible: Flag) {
         self.visible = visible.get();
     }
-    /// Where the inset is.
+    /// Place of the inset.
     #[read]
     fn rect(s: &PipState) -> PipRect {
         s.rect

@@ -20,7 +20,7 @@ struct RectifyConfig {
     calibration: String,
 }
 
-/// What rectified images measure.
+/// Geometry of rectified images.
 #[derive(Payload, Clone, Copy, Default, Debug, PartialEq)]
 #[repr(C)]
 pub struct RectifiedGeometry {

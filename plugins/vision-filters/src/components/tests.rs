@@ -20,7 +20,7 @@ fn header(index: u64, width: u32, format: PixelFormat) -> StereoHeader {
     }
 }
 
-/// What the class's only output gave.
+/// Frames of the class's only output.
 fn out<C: Class>(bench: &mut Bench<C>) -> Vec<(StereoHeader, Vec<u8>)> {
     bench
         .frames::<StereoHeader>(C::DESC.outputs[0].name)

@@ -16,7 +16,7 @@ fn header(width: u32, height: u32, format: PixelFormat) -> StereoHeader {
     StereoHeader { index: 1, width, height, stride, format, right_offset, ..Default::default() }
 }
 
-/// What the class's only output gives for a frame.
+/// Gives a frame to the class, and returns what its only output gives.
 fn filtered<C: Class>(
     bench: &mut Bench<C>,
     header: StereoHeader,

@@ -18,7 +18,7 @@ fn picture(width: u32, height: u32, format: PixelFormat) -> ImageHeader {
     ImageHeader { index: 1, width, height, stride, format, ..Default::default() }
 }
 
-/// What came out.
+/// Frames that came out.
 fn out(bench: &mut Bench<Pip>) -> Vec<(StereoHeader, Vec<u8>)> {
     bench.frames::<StereoHeader>("composed").into_iter().map(|(h, bytes, _)| (h, bytes)).collect()
 }

@@ -62,14 +62,14 @@ fn quietly<C: Class>(bench: &mut Bench<C>, header: StereoHeader, bytes: &[u8]) {
     });
 }
 
-/// What a row of the table needs to know of a class.
+/// A row of the table: facts about a class.
 struct Row<C: Class> {
     config: String,
     good: StereoHeader,
     /// Makes it change what comes.
     set: fn(&mut Bench<C>),
     tally: fn(&Bench<C>) -> Tally,
-    /// Of another size and format, and whether the class takes it.
+    /// Header of another size and format, and whether the class takes it.
     other: (StereoHeader, bool),
 }
 
@@ -138,7 +138,7 @@ impl<C: Class> Row<C> {
         }
     }
 
-    /// What comes changes its size and format from frame to frame.
+    /// Frames change their size and format from one to the next.
     fn sizes_may_change(&self) {
         let (other, taken) = self.other;
         let mut bench = self.bench();
@@ -168,7 +168,7 @@ fn row<C: Class>(config: &str, set: fn(&mut Bench<C>), tally: fn(&Bench<C>) -> T
 #[test]
 fn color_and_gray_take_no_lies() {
     row::<Color>(r#"{"to": "bgr8"}"#, |_| {}, |b| b.state().tally).run();
-    // What has the wanted format passes, but not when it is no such frame.
+    // A frame that has the wanted format passes, but not when it is no such frame.
     row::<Color>(r#"{"to": "rgb8"}"#, |_| {}, |b| b.state().tally).run();
     row::<Gray>("{}", |_| {}, |b| b.state().tally).run();
     Row { good: header(8, 6, PixelFormat::GRAY8), ..row::<Gray>("{}", |_| {}, |b| b.state().tally) }.run();
