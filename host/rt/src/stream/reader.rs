@@ -216,27 +216,10 @@ impl StreamReader {
                     }
                 });
             }
-            Order::Fifo(fifo) => {
-                let end = fifo.end();
-                let Some(mut place) = fifo.pop(end) else { return false };
-                let reading = &mut self.reading;
-                let mut give_back = |place| {
-                    // SAFETY: the reader owns the place, and `&mut self` ends every look at it.
-                    unsafe { slots.empty(place) };
-                    fifo.give_back(reading, place);
-                };
-                // The place seen before goes back first: the writer counts on it (see `Fifo::free_place`).
-                self.place.take().into_iter().for_each(&mut give_back);
-                // Bounded by the number of places, whatever another process says of the queue's end.
-                for _ in 0..if newest { fifo.slots() } else { 0 } {
-                    let Some(newer) = fifo.pop(end) else { break };
-                    skip(&self.arriving, slots, place);
-                    give_back(place);
-                    tally(&counters.skipped, 1);
-                    place = newer;
-                }
-                self.place = Some(place);
-            }
+            Order::Fifo(_) => match self.take_in_order(newest) {
+                None => return false,
+                taken => self.place = taken,
+            },
         }
         if self.arriving.is_some() {
             return self.arrive();
@@ -244,6 +227,32 @@ impl StreamReader {
         self.holds = true;
         tally(&self.link.counters.reader.0.taken, 1);
         true
+    }
+
+    /// Takes over the next sample of a queue, or the newest one in it, and gives the place seen before back.
+    #[inline(always)]
+    fn take_in_order(&mut self, newest: bool) -> Option<usize> {
+        let Order::Fifo(fifo) = &self.link.order else { return None };
+        let slots = &self.link.slots;
+        let end = fifo.end();
+        let mut place = fifo.pop(end)?;
+        let reading = &mut self.reading;
+        let mut give_back = |place| {
+            // SAFETY: the reader owns the place, and `&mut self` ends every look at it.
+            unsafe { slots.empty(place) };
+            fifo.give_back(reading, place);
+        };
+        // The place seen before goes back first: the writer counts on it (see `Fifo::free_place`).
+        self.place.take().into_iter().for_each(&mut give_back);
+        // Bounded by the number of places, whatever another process says of the queue's end.
+        for _ in 0..if newest { fifo.slots() } else { 0 } {
+            let Some(newer) = fifo.pop(end) else { break };
+            skip(&self.arriving, slots, place);
+            give_back(place);
+            tally(&self.link.counters.reader.0.skipped, 1);
+            place = newer;
+        }
+        Some(place)
     }
 
     /// Takes in the data another process has written into the place taken over; returns whether there is a
