@@ -23,6 +23,7 @@ pub const fn has_entry(struct_size: u32, offset: usize, size: usize) -> bool {
 
 /// Result of a class-table entry: 0 is success, negative values are the `STATUS_*` failures.
 pub type Status = i32;
+/// The entry did what it was asked to.
 pub const STATUS_OK: Status = 0;
 /// The entry refused or failed; the reason is in the error buffer.
 pub const STATUS_FAILED: Status = -1;
@@ -35,22 +36,28 @@ pub const STATUS_UNSUPPORTED: Status = -4;
 
 /// Outcome of a call through a slot. Non-negative: done or on its way; negative: exactly one reason why not.
 pub type Outcome = i32;
+/// Done before the call returned.
 pub const EXECUTED: Outcome = 0;
+/// On its way: it runs at the peer's next step, or was taken over by the host.
 pub const QUEUED: Outcome = 1;
 /// No peer is connected.
 pub const UNBOUND: Outcome = -1;
+/// The queue of the peer, or of the host, is full; nothing was queued.
 pub const QUEUE_FULL: Outcome = -2;
 /// Waiting is not allowed on this thread (a `call` from `step` to another executor).
 pub const WOULD_BLOCK: Outcome = -3;
 /// The command does not belong to its component's ports any more, or the host takes no more requests for
 /// services.
 pub const DISABLED: Outcome = -4;
+/// An argument, a value or a request is not acceptable.
 pub const INVALID_ARGUMENT: Outcome = -5;
 /// The command ran and failed; the reason is in `CallOpts::err`.
 pub const FAILED: Outcome = -6;
 /// No answer in time; `CallOpts::may_still_run` tells whether it may still be executed.
 pub const DEADLINE: Outcome = -7;
+/// The peer was lost, or the connection was cut, before there was an answer.
 pub const PEER_LOST: Outcome = -8;
+/// The component does not take calls in its state, or is gone.
 pub const NOT_ACTIVE: Outcome = -9;
 /// The frame pool of an output has no free slot; the frame is dropped and counted.
 pub const EXHAUSTED: Outcome = -10;
@@ -60,7 +67,9 @@ pub const EXHAUSTED: Outcome = -10;
 #[derive(Clone, Copy)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Bytes {
+    /// Address of the first byte.
     pub ptr: *const u8,
+    /// Number of bytes.
     pub len: usize,
 }
 
@@ -68,8 +77,11 @@ pub struct Bytes {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct ErrBuf {
+    /// Address of the buffer.
     pub ptr: *mut u8,
+    /// Bytes there is room for.
     pub cap: usize,
+    /// Bytes written.
     pub len: usize,
 }
 
@@ -77,7 +89,9 @@ pub struct ErrBuf {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Sink {
+    /// The caller's own; handed to `write` unchanged.
     pub ctx: *mut c_void,
+    /// Takes the next piece; on the thread of the call that was given the sink, before that returns.
     pub write: unsafe extern "C" fn(ctx: *mut c_void, bytes: Bytes),
 }
 
@@ -85,15 +99,23 @@ pub struct Sink {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct PluginTable {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// [`ABI_MAJOR`] the plugin was built with.
     pub abi_major: u32,
+    /// [`ABI_MINOR`] the plugin was built with.
     pub abi_minor: u32,
+    /// Name of the plugin, as in its manifest.
     pub name: Bytes,
+    /// Version of the plugin, as in its manifest.
     pub version: Bytes,
     /// Called once after dlopen, before any instance: install log forwarding and panic hook. May be null.
     pub init: Option<unsafe extern "C" fn(host: *const HostTable) -> Status>,
+    /// Number of classes.
     pub class_count: u32,
+    /// 0.
     pub reserved: u32,
     /// `class_count` pointers, in the manifest's order.
     pub classes: *const *const ClassTable,
@@ -105,14 +127,18 @@ pub struct PluginTable {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct ClassTable {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// Name of the class, as in the manifest.
     pub name: Bytes,
     /// Makes an instance in its unconfigured state; null on failure, with the reason in `err`. Opens no
     /// device.
     pub create: Option<
         unsafe extern "C" fn(host: *const HostTable, instance_name: Bytes, err: *mut ErrBuf) -> *mut c_void,
     >,
+    /// Ends an instance; nothing is called on it afterwards.
     pub destroy: Option<unsafe extern "C" fn(this: *mut c_void)>,
     /// Takes the whole configuration as JSON, already checked against the class's schema by the host.
     pub configure: Option<unsafe extern "C" fn(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status>,
@@ -122,13 +148,17 @@ pub struct ClassTable {
     /// `bind` or `destroy`.
     pub bind:
         Option<unsafe extern "C" fn(this: *mut c_void, ports: *const Ports, err: *mut ErrBuf) -> Status>,
+    /// A fresh start: makes run-time state, before the first step.
     pub start: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    /// Ends a run, after its last step.
     pub stop: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    /// Goes on after a stop, with the run-time state that is there.
     pub resume: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
     /// Brings the device to its safe condition; called on FAULT, Stop, peer loss and shutdown. For a class
     /// that says `safe_from_any_thread` it may run beside any other entry of the same instance, and beside
     /// itself: it touches only what is made for several threads, and nothing that another entry replaces.
     pub make_safe: Option<unsafe extern "C" fn(this: *mut c_void, err: *mut ErrBuf) -> Status>,
+    /// One cycle. Real-time thread: no allocation, no lock, no waiting.
     pub step: Option<unsafe extern "C" fn(this: *mut c_void, tick: *const Tick, err: *mut ErrBuf) -> Status>,
     /// Executes a void, write, void-return or write-return command.
     pub command: Option<
@@ -175,7 +205,9 @@ pub struct ClassTable {
 #[derive(Clone, Copy, Default, Debug)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Tick {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
     /// Cycle number since Start, from 0; skipped cycles are counted too.
     pub cycle: u64,
@@ -193,15 +225,25 @@ pub struct Tick {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Ports {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// Number of outputs.
     pub output_count: u32,
+    /// Number of inputs.
     pub input_count: u32,
+    /// Number of functions.
     pub function_count: u32,
+    /// Number of events.
     pub event_count: u32,
+    /// 0.
     pub reserved: u32,
+    /// `output_count` pointers.
     pub outputs: *const *const OutSlot,
+    /// `input_count` pointers.
     pub inputs: *const *const InSlot,
+    /// `function_count` pointers.
     pub functions: *const *const FnSlot,
+    /// `event_count` pointers.
     pub events: *const *const EventSlot,
 }
 
@@ -209,9 +251,13 @@ pub struct Ports {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Loan {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// Room for the header, as large as the output's header type.
     pub header: *mut c_void,
+    /// Room for the bytes after the header.
     pub bytes: *mut u8,
     /// Bytes available behind `bytes`.
     pub capacity: u64,
@@ -235,8 +281,11 @@ impl Loan {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct OutSlot {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// The host's own; handed to each entry unchanged.
     pub ctx: *mut c_void,
     /// Publishes a copy of one plain sample. EXECUTED, or UNBOUND when nobody is connected.
     pub write: unsafe extern "C" fn(ctx: *mut c_void, value: *const c_void, stamp_ns: u64) -> Outcome,
@@ -267,12 +316,17 @@ pub const SAMPLE_STALE: u32 = 2;
 #[derive(Clone, Copy)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct SampleView {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// [`SAMPLE_FRESH`], [`SAMPLE_STALE`].
     pub flags: u32,
     /// The plain value, or the header of a frame.
     pub header: *const c_void,
+    /// The bytes of a frame after its header; null for a plain value.
     pub bytes: *const u8,
+    /// Number of these bytes.
     pub len: u64,
+    /// Stamp the writer gave it, ns of the host's monotonic clock; 0 = invalid.
     pub stamp_ns: u64,
     /// Counts the writes of the output, from 1; a gap is exactly what was dropped on the way.
     pub seq: u64,
@@ -306,10 +360,16 @@ pub const IN_UNBOUND: i32 = -1;
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct InSlot {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// The host's own; handed to each entry unchanged.
     pub ctx: *mut c_void,
+    /// Shows the newest sample, seen before or not; older unseen ones are skipped. [`IN_SAMPLE`] and the
+    /// others.
     pub latest: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> i32,
+    /// Shows the next unseen sample, in order. [`IN_SAMPLE`] and the others.
     pub next: unsafe extern "C" fn(ctx: *mut c_void, view: *mut SampleView) -> i32,
     /// Hands the held sample back before the next one is asked for.
     pub release: unsafe extern "C" fn(ctx: *mut c_void),
@@ -331,10 +391,13 @@ pub struct InSlot {
 #[derive(Clone, Copy)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Held {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
     /// They stay as they are until `release`; of another process, as long as that is linked to this one.
     pub bytes: *const u8,
+    /// Number of bytes.
     pub len: u64,
     /// The host's own.
     pub token: u64,
@@ -351,7 +414,9 @@ pub const MODE_CALL: u32 = 1;
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct CallOpts {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// [`MODE_SEND`] or [`MODE_CALL`].
     pub mode: u32,
     /// Relative, ns; 0 = the connection's default (1 s unless set), more than an hour counts as an hour. A
     /// command that is only sent and has not begun by then never runs; with 0 the connection and the server's
@@ -363,6 +428,7 @@ pub struct CallOpts {
     pub stamp_ns: u64,
     /// Out: 1 when the outcome is DEADLINE and the command may still run.
     pub may_still_run: u32,
+    /// 0.
     pub reserved: u32,
 }
 
@@ -370,9 +436,13 @@ pub struct CallOpts {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct FnSlot {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// The host's own; handed to each entry unchanged.
     pub ctx: *mut c_void,
+    /// Calls the command that is bound; `arg` and `ret` are null where the function has none.
     pub call: unsafe extern "C" fn(
         ctx: *mut c_void,
         arg: *const c_void,
@@ -398,18 +468,25 @@ pub struct FnSlot {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct EventSlot {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// The host's own; handed to each entry unchanged.
     pub ctx: *mut c_void,
     /// Broadcasts; EXECUTED, or QUEUE_FULL when at least one observer missed it (counted there).
     pub emit: unsafe extern "C" fn(ctx: *mut c_void, payload: *const c_void) -> Outcome,
 }
 
-/// Log levels of [`HostTable::log`], as in the `log` crate.
+/// Level of [`HostTable::log`], as in the `log` crate: something was not done.
 pub const LOG_ERROR: u32 = 1;
+/// Something may be wrong.
 pub const LOG_WARN: u32 = 2;
+/// News.
 pub const LOG_INFO: u32 = 3;
+/// Details for the search of a mistake.
 pub const LOG_DEBUG: u32 = 4;
+/// The finest details.
 pub const LOG_TRACE: u32 = 5;
 
 /// Set in [`HostTable::flags`] at `init` when the plugin is linked into the host's own program: they share
@@ -420,10 +497,15 @@ pub const HOST_LINKED: u32 = 1;
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct HostTable {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// [`HOST_LINKED`], or 0.
     pub flags: u32,
+    /// [`ABI_MAJOR`] of the host.
     pub abi_major: u32,
+    /// [`ABI_MINOR`] of the host.
     pub abi_minor: u32,
+    /// The host's own; handed to each entry unchanged.
     pub ctx: *mut c_void,
     /// Monotonic clock, ns. Any thread.
     pub now_ns: unsafe extern "C" fn(ctx: *mut c_void) -> u64,
@@ -434,6 +516,7 @@ pub struct HostTable {
     pub service: unsafe extern "C" fn(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome,
     /// Brackets a call that comes in on a thread of the plugin's own (execution model `on_callback`).
     pub callback_enter: unsafe extern "C" fn(ctx: *mut c_void) -> Outcome,
+    /// Ends what `callback_enter` began, on the same thread.
     pub callback_leave: unsafe extern "C" fn(ctx: *mut c_void),
     /// Growth without touching this table: "trocar.parallel/1"; null when unknown.
     pub extension: unsafe extern "C" fn(ctx: *mut c_void, id: Bytes) -> *const c_void,
@@ -449,8 +532,11 @@ pub const PARALLEL: &str = "trocar.parallel/1";
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Parallel {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
+    /// The host's own; handed to each entry unchanged.
     pub ctx: *mut c_void,
     /// Threads that work together now, the caller's included; 1 without a pool.
     pub threads: unsafe extern "C" fn(ctx: *mut c_void) -> u32,
@@ -465,7 +551,9 @@ pub struct Parallel {
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct SliceBody {
+    /// The caller's own; handed to `run` unchanged.
     pub data: *mut c_void,
+    /// Does the work on this slice; a negative status is a failure.
     pub run: unsafe extern "C" fn(data: *mut c_void, slice: u32) -> Status,
 }
 
@@ -476,7 +564,9 @@ pub const KEEP: &str = "trocar.keep/1";
 #[repr(C)]
 #[cfg_attr(feature = "layout", derive(abi_stable::StableAbi))]
 pub struct Keep {
+    /// Bytes of this struct, as its maker knows it: see [`has_entry`].
     pub struct_size: u32,
+    /// 0: no bit has a meaning yet.
     pub flags: u32,
     /// Keeps all that the instance of this table was given as it is until the process ends, destroyed or not;
     /// slots answer as those of ports without a connection. `ctx` is that of the `HostTable`. Any thread, at
@@ -489,5 +579,6 @@ pub struct Keep {
 pub struct StaticPlugin {
     /// JSON, as in `.note.trocar`.
     pub manifest: &'static str,
+    /// The function a file exports as [`ENTRY_SYMBOL`].
     pub entry: EntryFn,
 }

@@ -33,6 +33,7 @@ const FROZEN: [&str; 3] = [
 #[derive(StableAbi)]
 #[sabi(kind(Prefix(prefix_ref = ContractRef, prefix_fields = ContractPrefix)))]
 pub struct Contract {
+    /// The function a file exports.
     #[sabi(last_prefix_field)]
     pub entry: extern "C" fn() -> *const PluginTable,
 }

@@ -5,6 +5,7 @@
 //! inside it. Nothing allocated on one side is freed on the other. `sdk/c/trocar_plugin.h` is the same
 //! contract for C and C++.
 #![forbid(unsafe_code)]
+#![deny(missing_docs)]
 
 pub mod abi;
 mod const_text;

@@ -3,6 +3,7 @@
 //! Invariant: nothing here is written by hand but this page; `tests/generated.rs` fails when the committed
 //! code and the `.proto` files differ (`TROCAR_BLESS=1 cargo test -p trocar-proto` rewrites it).
 #![forbid(unsafe_code)]
+#![deny(missing_docs)]
 
 /// Messages, clients and servers of package `trocar.v1`.
 #[allow(clippy::all, unreachable_pub, missing_docs, rustdoc::all)]

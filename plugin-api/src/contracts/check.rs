@@ -12,50 +12,81 @@ use std::fmt;
 pub struct Violation {
     /// `interface/member`, an output's name, or the class's.
     pub at: String,
+    /// The difference.
     pub problem: Problem,
 }
 
+/// A difference between a class and a contract: `have` is the class's, `want` the contract's, `there` the
+/// names that exist.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Problem {
+    /// The manifest has no class of this name.
     NoSuchClass {
+        /// Names of its classes.
         there: Vec<String>,
     },
+    /// The class has another safety.
     Safety {
+        /// Its safety.
         have: String,
+        /// The contract's.
         want: &'static str,
     },
+    /// The class lacks an interface that the contract requires.
     MissingInterface {
+        /// Names of its provided interfaces.
         there: Vec<String>,
     },
+    /// The interface lacks a command that the contract requires.
     MissingCommand {
+        /// Kind of the command.
         kind: &'static str,
+        /// Type of its argument; empty = none.
         takes: &'static str,
+        /// Type of its result; empty = none.
         gives: &'static str,
     },
+    /// The interface lacks an event that the contract requires.
     MissingEvent {
+        /// Type of its payload; empty = none.
         payload: &'static str,
     },
+    /// The class lacks an output that the contract requires.
     MissingOutput {
+        /// Names of its outputs.
         there: Vec<String>,
+        /// Descriptions of what the output may be.
         want: Vec<String>,
     },
+    /// A command is of another kind.
     Kind {
+        /// Its kind.
         have: String,
+        /// The contract's.
         want: &'static str,
     },
+    /// A command has another overflow policy.
     Overflow {
+        /// Its policy.
         have: String,
+        /// The contract's.
         want: &'static str,
     },
     /// `what` is "argument", "result", "payload" or "type"; `have` and `want` are the first lines that
     /// differ.
     Type {
+        /// The thing whose type differs.
         what: &'static str,
+        /// Type of the contract, by name.
         want_type: String,
+        /// Line of the class's type.
         have: String,
+        /// Line of the contract's type.
         want: String,
     },
+    /// A type of the class cannot be followed down to its fields.
     NotUnderstood {
+        /// The reason.
         why: String,
     },
 }

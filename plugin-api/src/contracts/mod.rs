@@ -49,61 +49,86 @@ pub struct Contract {
     pub rules: &'static [&'static str],
     /// The function of `trocar_sdk::testing` that tries these rules; empty where there is none.
     pub tried_by: &'static str,
+    /// Provided interfaces.
     pub interfaces: &'static [Interface],
+    /// Outputs.
     pub outputs: &'static [Output],
 }
 
 /// A provided interface. Members of an optional one are checked where they exist.
 #[derive(Debug)]
 pub struct Interface {
+    /// Name of the interface.
     pub name: &'static str,
+    /// One sentence.
     pub doc: &'static str,
+    /// A class without it does not fulfil the contract.
     pub required: bool,
+    /// Its commands.
     pub commands: &'static [Command],
+    /// Its events.
     pub events: &'static [Event],
 }
 
+/// A command of an interface.
 #[derive(Debug)]
 pub struct Command {
+    /// Name of the command, CRTK's where it has one.
     pub name: &'static str,
+    /// One sentence.
     pub doc: &'static str,
+    /// An interface without it does not fulfil the contract.
     pub required: bool,
     /// As in the manifest: "void", "write", "read", "qualified_read", "void_return", "write_return".
     pub kind: &'static str,
+    /// Its argument.
     pub arg: Carries,
+    /// Its result.
     pub ret: Carries,
     /// The overflow policy it must have, "latest_wins"; empty = any.
     pub overflow: &'static str,
 }
 
+/// An event of an interface.
 #[derive(Debug)]
 pub struct Event {
+    /// Name of the event.
     pub name: &'static str,
+    /// One sentence.
     pub doc: &'static str,
+    /// An interface without it does not fulfil the contract.
     pub required: bool,
+    /// Payload of the event.
     pub payload: Carries,
 }
 
 /// A type as text: empty, a primitive, `text[32]`, `[f64;3]`, `list[f64;16]`, or the name of a [`Payload`].
 #[derive(Clone, Copy, Debug)]
 pub struct Carries {
+    /// The type as text.
     pub ty: &'static str,
     /// Unit of a value without fields; empty = none.
     pub unit: &'static str,
 }
 
 impl Carries {
+    /// No value.
     pub const NOTHING: Carries = Carries::of("");
 
+    /// A value of this type, without a unit of its own.
     pub const fn of(ty: &'static str) -> Carries {
         Carries { ty, unit: "" }
     }
 }
 
+/// An output.
 #[derive(Debug)]
 pub struct Output {
+    /// Name of the output.
     pub name: &'static str,
+    /// One sentence.
     pub doc: &'static str,
+    /// A class without it does not fulfil the contract.
     pub required: bool,
     /// The output is one of these.
     pub one_of: &'static [Flows],
@@ -115,7 +140,12 @@ pub enum Flows {
     /// Plain samples of this payload.
     Samples(&'static str),
     /// Frames with this header, their bytes read as `format` says.
-    Frames { header: &'static str, format: &'static str },
+    Frames {
+        /// Payload of the header.
+        header: &'static str,
+        /// Name of the way the bytes are read.
+        format: &'static str,
+    },
 }
 
 const fn read(name: &'static str, required: bool, ty: &'static str, doc: &'static str) -> Command {

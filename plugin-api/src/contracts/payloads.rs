@@ -7,20 +7,28 @@
 /// A standard payload: a struct with fields, or an integer with named values.
 #[derive(Debug)]
 pub struct Payload {
+    /// Name of the struct or enum, as manifests have it.
     pub name: &'static str,
+    /// Its documentation, as in the SDK.
     pub doc: &'static str,
+    /// Fields in the order of memory; empty for named values.
     pub fields: &'static [PayloadField],
     /// The integer behind named values; empty for a struct.
     pub repr: &'static str,
+    /// Names and their numbers; empty for a struct.
     pub values: &'static [(&'static str, i64)],
 }
 
+/// One field of a payload.
 #[derive(Debug)]
 pub struct PayloadField {
+    /// Name of the field.
     pub name: &'static str,
     /// As in [`super::Carries`].
     pub ty: &'static str,
+    /// Unit, SI; `a|b` where it is one of two; empty = none.
     pub unit: &'static str,
+    /// Documentation of the field; empty = none.
     pub doc: &'static str,
 }
 
