@@ -260,11 +260,11 @@ pub fn set_fifo(priority: u8) -> Result<(), OsError> {
     if rc == 0 {
         return Ok(());
     }
-    Err(OsError {
-        asked: format!("run at SCHED_FIFO priority {priority}"),
-        errno: rc,
-        help: "use a priority from 1 to 99, and give the process CAP_SYS_NICE or raise `ulimit -r` to the priority",
-    })
+    let help = match rc {
+        libc::EINVAL => "use a priority from 1 to 99",
+        _ => "give the process CAP_SYS_NICE or raise `ulimit -r` to the priority (`trocar doctor` tells how)",
+    };
+    Err(OsError { asked: format!("run at SCHED_FIFO priority {priority}"), errno: rc, help })
 }
 
 /// Binds the calling thread to these CPUs (numbers as in /proc/cpuinfo).

@@ -56,7 +56,8 @@ fn settings_of_a_thread_are_taken_or_refused_with_help() {
             }
         }
         let stands = scheduling();
-        assert!(os::set_fifo(100).is_err(), "there is no priority 100");
+        let none = os::set_fifo(100).expect_err("there is no priority 100").to_string();
+        assert!(none.ends_with("use a priority from 1 to 99"), "{none}");
         assert_eq!(scheduling(), stands, "a refusal changes nothing");
         let cpu: usize = own("Cpus_allowed_list:").split(['-', ',']).next().unwrap().parse().unwrap();
         os::set_affinity(&[cpu]).unwrap();

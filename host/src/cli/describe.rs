@@ -10,8 +10,8 @@ use serde_json::Value;
 use super::failure::{Done, Exit};
 use super::session::Session;
 use super::view::{
-    ArgView, ClassView, ComponentView, DescribeView, ExecutionLimitsView, ExecutionView, FieldView,
-    MemberView, OptionsView, PortsView, ProxyView, StreamView, TypeView,
+    ArgView, ClassView, ComponentView, ConnectionView, DescribeView, ExecutionLimitsView, ExecutionView,
+    FieldView, MemberView, OptionsView, PortsView, ProxyView, StreamView, TypeView,
 };
 use super::{out, style, units};
 
@@ -65,9 +65,10 @@ fn render(view: &DescribeView, colour: bool) -> String {
     } else if let (None, Some(class)) = (&view.component, &view.class) {
         page.ports(&class.ports);
     }
-    if !view.connections.is_empty() {
+    let connections: Vec<_> = view.connections.iter().filter(|c| is_asked_about(&view.path, c)).collect();
+    if !connections.is_empty() {
         page.heading("connections");
-        for c in &view.connections {
+        for c in connections {
             let line = format!("{}  {} → {}  {}{}", c.id, c.server, c.client, c.way(), options(&c.options));
             page.line(1, line.trim_end());
             page.line(2, &c.figures());
@@ -86,6 +87,16 @@ fn render(view: &DescribeView, colour: bool) -> String {
         }
     }
     page.text
+}
+
+/// Tells whether a page about `path` shows this connection: that of a port shows its own ones, that of a
+/// member none.
+fn is_asked_about(path: &str, connection: &ConnectionView) -> bool {
+    match path.matches('/').count() {
+        0 | 1 => true,
+        2 => connection.client == path || connection.server == path,
+        _ => false,
+    }
 }
 
 /// The text as it grows.

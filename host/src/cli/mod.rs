@@ -4,6 +4,7 @@
 //! subcommand only asks over gRPC what any client could ask, except those that are a process themselves
 //! (`host`, `gcm`, `run`, `demo`).
 
+mod alike;
 mod apply;
 mod call;
 mod check;

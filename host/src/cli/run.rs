@@ -9,6 +9,7 @@ use clap::Args;
 use serde_json::json;
 use trocar_model::Refusal;
 
+use super::alike::folded;
 use super::failure::{Done, Exit, Failure};
 use super::named::FileArgs;
 use super::session::Session;
@@ -134,11 +135,9 @@ pub(super) async fn bring_up(
         executed = gcm.execute(file.requests(), options) => executed.map_err(|refusal| placed(file, &refusal))?,
         () = stop.asked() => return Ok(false),
     };
-    for report in &executed.reports {
-        for warning in &report.warnings {
-            logging::warn(&format!("{}: {warning}", report.id));
-        }
-    }
+    let reports = executed.reports.iter();
+    let warnings = reports.flat_map(|report| report.warnings.iter().map(|w| format!("{}: {w}", report.id)));
+    folded(warnings).iter().for_each(|warning| logging::warn(warning));
     Ok(true)
 }
 

@@ -23,6 +23,7 @@ use self::face::Face;
 use self::head::Head;
 use self::layout::Layout;
 use self::measure::{Parts, Reading, Report, measure};
+use super::alike::folded;
 use super::failure::{Done, Exit, Failure};
 use super::logging::Diverted;
 use super::screen::Screen;
@@ -152,7 +153,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
     };
     let done = match came_up {
         Some(Ok(up)) => {
-            up.warnings.iter().for_each(|warning| logging::warn(warning));
+            folded(up.warnings).iter().for_each(|warning| logging::warn(warning));
             let how = format!(" in {} processes, GCM {}", file.processes.len(), up.addr);
             let head = show.begin(&how, &up.addr);
             let from = show.look(&up.addr).await;

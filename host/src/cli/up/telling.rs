@@ -13,6 +13,7 @@ use tokio::task::JoinHandle;
 use trocar_model::Name;
 use trocar_rt::house;
 
+use super::super::alike::folded;
 use super::super::units;
 use super::news::News;
 use super::programs::GCM;
@@ -120,8 +121,8 @@ impl Voice {
                 "warnings": warnings,
             }));
         }
-        for warning in warnings {
-            self.complain("warning", warning);
+        for warning in folded(warnings.iter().cloned()) {
+            self.complain("warning", &warning);
         }
         let (components, connections) = (file.components.len(), file.connections.len());
         self.line(&format!(

@@ -37,7 +37,7 @@ class Looking:
         """What a process, component, port, command or class offers, with types, units, ranges and documentation."""
         __tracebackhide__ = True
         fields: dict[str, Any] = {"class": class_} if class_ else {"path": path_of(path)}
-        return Description(self._call("GcmService/Describe", **fields), str(path) or class_)
+        return Description(self._call("GcmService/Describe", **fields), fields.get("path") or class_)
 
     def classes(self, pattern: str = "") -> list[str]:
         """The classes there are, ``plugin/class``, of all processes."""

@@ -95,11 +95,14 @@ class Description:
         ports = m.ports if m.HasField("ports") else getattr(m, "class").ports if m.HasField("class") else None
         if ports is not None:
             lines += _ports_text(ports)
-        if m.HasField("class"):
+        # A page about a port has its own connections and no settings, that of a member neither.
+        names = self._asked.count("/")
+        if m.HasField("class") and names < 2:
             schema = _proto_settings(getattr(m, "class").config_schema)
             lines += ["settings", *schema] if schema else []
         for c in m.connections:
-            lines.append(f"connection {c.id}: {c.client} ← {c.server}, {c.carrier}")
+            if names < 2 or (names == 2 and self._asked in (c.client, c.server)):
+                lines.append(f"connection {c.id}: {c.client} ← {c.server}, {c.carrier}")
         return clean("\n".join(lines))
 
 
