@@ -30,7 +30,6 @@ impl FarViews {
     }
 
     /// Tells whether the other end has not told of a pool of this place yet.
-    #[inline]
     pub(crate) fn is_awaited(&self, place: u32) -> bool {
         self.views.get(place as usize).is_some_and(|view| view.get().is_none())
     }
