@@ -145,7 +145,10 @@ fn begin(world: &World, args: &[&str]) -> (i32, Value, String) {
     let program = world.path("bin/trocar");
     if !program.exists() {
         fs::create_dir(world.path("bin")).unwrap();
-        fs::copy(Built::trocar(), &program).unwrap();
+        // By another process: a child that a thread of this one starts meanwhile would hold the file open for
+        // writing, and what is open so cannot be run.
+        let copied = Command::new("cp").args([&*Built::trocar(), &*program]).status().unwrap();
+        assert!(copied.success(), "{copied}");
     }
     let mut command = Command::new(program);
     let output = command.args(["plugin", "new"]).args(args).current_dir(world.path("")).output().unwrap();

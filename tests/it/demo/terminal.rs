@@ -91,9 +91,11 @@ fn last_drawn(written: &str) -> Vec<String> {
 fn plain(line: &str) -> String {
     let mut parts = line.split("\x1b[");
     let first = parts.next().unwrap_or_default().to_owned();
-    parts.fold(first, |text, part| {
+    // The terminal ends a line by a carriage return of its own.
+    let text = parts.fold(first, |text, part| {
         text + part.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').get(1..).unwrap_or_default()
-    })
+    });
+    text.trim_end_matches('\r').to_owned()
 }
 
 const DEMO: [&str; 3] = ["demo", "--listen", "127.0.0.1:0"];
