@@ -471,9 +471,9 @@ pub struct ClassDesc {
 pub struct ExecutionLimitsDesc {
     /// Execution models; empty = any.
     pub models: &'static [&'static str],
-    /// Shortest and longest time between two steps, ns; 0 = no limit.
+    /// Shortest time between two steps, ns; 0 = no limit.
     pub min_period_ns: u64,
-    /// The longest of the two, ns; 0 = no limit.
+    /// Longest time between two steps, ns; 0 = no limit.
     pub max_period_ns: u64,
 }
 

@@ -79,6 +79,58 @@ fn a_plugin_made_by_the_guide_runs_in_a_host() {
 }
 
 #[test]
+fn a_plugin_that_was_changed_runs_with_the_settings_and_connections_it_had() {
+    let guide = fs::read_to_string(repository().join("docs/PLUGIN_GUIDE.md")).unwrap();
+    let section = guide.split("### Change it").nth(1).expect("the guide changes its plugin");
+    let block =
+        section.split("```sh\n").nth(1).and_then(|rest| rest.split("\n```").next()).unwrap_or_default();
+    // The target directory is shared, and other tests build `my-filter` there at this moment.
+    let world = World::new();
+    let kept = world.path("mine.json").display().to_string();
+    let block = block.replace("my_filter", "changed_filter").replace("mine.json", &kept);
+    Trocar::new(&world).run(&["plugin", "new", "changed-filter"]).ends_with(0);
+    let project = world.path("changed-filter");
+    let built = cargo(&project, &["build", "--release"]).join("release/libchanged_filter.so");
+    world.drop_in(&built);
+    let host = HostProcess::start(&world);
+    let class = host.grpcurl().await_class("host", "changed_filter");
+    let trocar = Trocar::at(&world, host.address());
+    trocar.run(&["create", "host/f", &class]).ends_with(0);
+    connect_what_it_requires(&world, &host);
+    trocar.run(&["start", "host/f"]).ends_with(0);
+    trocar.run(&["configure", "host/f", r#"{"cutoff_hz": 5}"#]).ends_with(0);
+    let version = |wanted: &str| {
+        let ls = trocar.run(&["ls", "--json"]).ends_with(0).json();
+        let all = ls["components"].as_array().cloned().unwrap_or_default();
+        let filter = all.iter().find(|c| c["path"] == "host/f").cloned().unwrap_or_default();
+        assert_eq!(
+            (&filter["plugin_version"], &filter["state"]),
+            (&json!(wanted), &json!("ACTIVE")),
+            "{filter}"
+        );
+    };
+    version("0.1.0");
+    let manifest = project.join("Cargo.toml");
+    let text = fs::read_to_string(&manifest).unwrap();
+    fs::write(&manifest, text.replacen("version = \"0.1.0\"", "version = \"0.2.0\"", 1)).unwrap();
+    for line in block.lines().map(|line| line.split(" #").next().unwrap_or_default().trim()) {
+        let words: Vec<&str> = line.split(' ').collect();
+        match words.as_slice() {
+            ["cargo", rest @ ..] => _ = cargo(&project, rest),
+            ["cp", from, "plugins/"] => {
+                assert!(built.ends_with(from.trim_start_matches("target/")), "{line}");
+                world.drop_in(&built);
+            }
+            ["trocar", rest @ ..] => _ = trocar.run(rest).ends_with(0),
+            _ => panic!("the guide has another command: {line}"),
+        }
+    }
+    version("0.2.0");
+    let described = trocar.run(&["describe", "host/f"]).ends_with(0);
+    described.says("cutoff_hz = 5 Hz").says("host/source/value");
+}
+
+#[test]
 fn a_plugin_that_is_begun_without_a_network_is_built_of_what_trocar_was_built_of() {
     let world = World::new();
     Trocar::new(&world).run(&["plugin", "new", "my-filter"]).ends_with(0);

@@ -1,19 +1,27 @@
 //! Warnings that say the same of several components, as one line.
 //!
-//! Invariant: every component that is warned of is named; numbers that differ are the first one's.
+//! Invariant: every component that is warned of is named; numbers that differ are the first one's. A digit in
+//! a name is no number.
 
 /// Folds lines `path: text` whose texts differ in their numbers only, in the order of the first of each.
 pub(super) fn folded(warnings: impl IntoIterator<Item = String>) -> Vec<String> {
     let mut groups: Vec<(String, String, Vec<String>)> = Vec::new();
     for warning in warnings {
         let (path, text) = warning.split_once(": ").unwrap_or(("", &warning));
-        let pattern = text.replace(|c: char| c.is_ascii_digit(), "");
+        let pattern = pattern(text);
         match groups.iter_mut().find(|(known, _, _)| !path.is_empty() && *known == pattern) {
             Some((_, _, others)) => others.push(path.to_owned()),
             None => groups.push((pattern, warning, Vec::new())),
         }
     }
     groups.into_iter().map(|(_, first, others)| line(first, &others)).collect()
+}
+
+/// The text without its numbers: words that begin with a digit.
+fn pattern(text: &str) -> String {
+    let word =
+        |word: &str| if word.starts_with(|c: char| c.is_ascii_digit()) { "0" } else { word }.to_owned();
+    text.split(' ').map(word).collect::<Vec<_>>().join(" ")
 }
 
 fn line(first: String, others: &[String]) -> String {
@@ -36,6 +44,12 @@ mod tests {
         let expected =
             ["host/robot: priority 75 was refused; likewise host/source, host/b", "host/a: no memory"];
         assert_eq!(folded(all), expected);
+    }
+
+    #[test]
+    fn what_differs_in_a_name_stays_two_lines() {
+        let all = ["host/a: nothing comes at in1", "host/b: nothing comes at in2"].map(str::to_owned);
+        assert_eq!(folded(all.clone()), all);
     }
 
     #[test]

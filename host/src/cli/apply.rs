@@ -9,6 +9,7 @@ use std::time::Duration;
 use clap::Args;
 use serde_json::json;
 
+use super::alike::folded;
 use super::failure::{Done, Exit};
 use super::mutation::{MutationArgs, show};
 use super::named::{SystemArgs, placed};
@@ -61,7 +62,7 @@ pub(super) async fn apply(mut args: ApplyArgs, session: &Session) -> Done {
     let outcome = session.apply_system(&file.text(), args.prune, &args.mutation).await;
     let outcome = outcome.map_err(|failure| placed(&file, failure))?;
     if outcome.plan.is_empty() && !session.json() {
-        outcome.warnings.iter().for_each(|warning| out::complain("warning", warning));
+        folded(outcome.warnings.clone()).iter().for_each(|warning| out::complain("warning", warning));
         out::say(&format!("nothing to do for {}", args.system.file.display()));
         return Ok(Exit::Ok);
     }

@@ -442,6 +442,25 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_port_shows_its_own_connections_and_a_member_none() {
+        let between = |client: &str, server: &str| ConnectionView {
+            client: client.into(),
+            server: server.into(),
+            ..ConnectionView::default()
+        };
+        let connections = vec![between("a/x/in", "a/y/out"), between("a/z/in", "a/x/out")];
+        let shown = |path: &str| {
+            let view =
+                DescribeView { path: path.into(), connections: connections.clone(), ..Default::default() };
+            let text = render(&view, false);
+            ["a/x/in", "a/x/out"].map(|port| text.contains(port))
+        };
+        assert_eq!(shown("a/x"), [true, true]);
+        assert_eq!((shown("a/x/in"), shown("a/x/out")), ([true, false], [false, true]));
+        assert_eq!(shown("a/x/in/member"), [false, false]);
+    }
+
+    #[test]
     fn a_command_shows_its_kind_unit_range_and_doc() {
         let ty = TypeView { name: "i32".into(), ..TypeView::default() };
         let arg = ArgView {

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use serde_json::json;
-use trocar_model::{Code, Refusal};
+use trocar_model::Refusal;
 
 use super::{out, style};
 use crate::system_file::Problem;
@@ -163,7 +163,7 @@ impl Failure {
 
 impl From<&Refusal> for Failure {
     fn from(refusal: &Refusal) -> Self {
-        let code = code_name(refusal.code());
+        let code = refusal.code().name();
         Self::answered(code, refusal.reason(), refusal.to_string(), refusal.help(), refusal.metadata())
     }
 }
@@ -190,23 +190,6 @@ impl From<Problem> for Failure {
             ("pointer".to_owned(), problem.pointer),
         ]);
         failure
-    }
-}
-
-/// The gRPC spelling of a code.
-fn code_name(code: Code) -> &'static str {
-    match code {
-        Code::InvalidArgument => "INVALID_ARGUMENT",
-        Code::NotFound => "NOT_FOUND",
-        Code::AlreadyExists => "ALREADY_EXISTS",
-        Code::FailedPrecondition => "FAILED_PRECONDITION",
-        Code::Aborted => "ABORTED",
-        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
-        Code::Unavailable => "UNAVAILABLE",
-        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
-        Code::PermissionDenied => "PERMISSION_DENIED",
-        Code::Unimplemented => "UNIMPLEMENTED",
-        Code::Internal => "INTERNAL",
     }
 }
 

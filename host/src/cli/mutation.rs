@@ -6,6 +6,7 @@
 use clap::Args;
 use serde::Serialize;
 
+use super::alike::folded;
 use super::failure::{Done, Exit};
 use super::session::Session;
 use super::{out, units};
@@ -85,8 +86,6 @@ pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &s
     for left in &outcome.failed {
         out::complain("error", &format!("{}: {}", left.path, left.why));
     }
-    for warning in &outcome.warnings {
-        out::complain("warning", warning);
-    }
+    folded(outcome.warnings.clone()).iter().for_each(|warning| out::complain("warning", warning));
     Ok(exit)
 }

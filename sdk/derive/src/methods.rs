@@ -126,25 +126,8 @@ fn rows(fields: &ComponentFields) -> TokenStream {
 
 /// Runs the command with an id.
 fn command(provided: &Interfaces<'_>) -> TokenStream {
-    let fixed =
-        in_turn(&many::parts(&provided.fixed, |i| i.provides_part(), "commands", "command"), &quote!(self));
-    let repeated = many::commands(provided);
-    quote! {
-        #[inline]
-        fn command(
-            &mut self,
-            id: u32,
-            lists: &::trocar_sdk::__private::Layout,
-            call: &mut ::trocar_sdk::__private::Call,
-        ) -> ::trocar_sdk::__private::Status {
-            let _ = lists;
-            let mut at = 0u32;
-            #fixed
-            #repeated
-            let _ = at;
-            call.unknown(id)
-        }
-    }
+    let parts = many::parts(&provided.fixed, |i| i.provides_part(), "commands", "command");
+    inside("command", &parts, &many::commands(provided))
 }
 
 /// Answers the read with an id from a row of the state table.
@@ -171,12 +154,16 @@ fn read(provided: &Interfaces<'_>) -> TokenStream {
 
 /// Runs the event handler with an id.
 fn on_event(required: &Interfaces<'_>) -> TokenStream {
-    let fixed =
-        in_turn(&many::parts(&required.fixed, |i| i.handles_part(), "handlers", "on_event"), &quote!(self));
-    let repeated = many::handlers(required);
+    let parts = many::parts(&required.fixed, |i| i.handles_part(), "handlers", "on_event");
+    inside("on_event", &parts, &many::handlers(required))
+}
+
+/// A method that runs the member with an id inside the component.
+fn inside(name: &str, fixed: &[(TokenStream, TokenStream)], repeated: &TokenStream) -> TokenStream {
+    let (name, fixed) = (format_ident!("{name}"), in_turn(fixed, &quote!(self)));
     quote! {
         #[inline]
-        fn on_event(
+        fn #name(
             &mut self,
             id: u32,
             lists: &::trocar_sdk::__private::Layout,

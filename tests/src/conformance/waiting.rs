@@ -239,9 +239,14 @@ impl<'a> Caller<'a> {
     /// Its call is in the queue, or waits with its thread for whoever is inside.
     fn await_waiting(&self) {
         eventually("the call waits", || match self.passed {
-            Some(before) if passed(self.lab) > before => Ok(()),
-            None if asleep(&self.name) > 1 => Ok(()),
-            _ => Err("not yet"),
+            Some(before) => match passed(self.lab) {
+                now if now > before => Ok(()),
+                now => Err(format!("{now} entries have passed, as {before} before; {:?}", self.lab.links())),
+            },
+            None => match asleep(&self.name) {
+                own @ ..2 => Err(format!("{own} threads named {} sleep", self.name)),
+                _ => Ok(()),
+            },
         });
     }
 }

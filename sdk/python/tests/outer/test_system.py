@@ -453,6 +453,9 @@ def test_a_system_is_changed_step_by_step(ire):
         ire.stop("host/client")
         assert ire.state("host/client") == "STOPPED{requested}"
         ire.resume("host/client")
+        whole, port, member = (repr(ire.describe(f"host/second{part}")) for part in ("", "/Provided", "/Provided/Write"))
+        assert "connection " in whole and "connection " in port and "Write(value: i32)" in port
+        assert "connection " not in member and "settings" not in member and "Write(value: i32)" in member
         ire.disconnect(made.id)
         ire.reset("host/second")
         ire.start("host/second")
