@@ -1,8 +1,7 @@
-//! Processes for single components: supervisors that can make them, and processes that are wanted.
+//! Has processes made for single components, started again and ended, by the supervisors that listen.
 //!
-//! Invariant: all wanted processes are one list, told whole to its supervisors at every change. A process
-//! that was wanted for a request that failed, or whose component was removed, is taken from it again, so none
-//! is left behind.
+//! Invariant: a process that was wanted for a request that failed, or whose component was removed, is taken
+//! off the list again, so none is left behind.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -14,19 +13,12 @@ use trocar_model::{
 };
 
 use super::Gcm;
-use super::execute::{ExecuteOptions, Executed};
-use super::manager::lock;
+use super::answer::{ExecuteOptions, Executed};
+use super::isolation::{Apart, Isolation, Wanted};
+use super::lock::lock;
 
 /// Longest wait for a process that is not wanted any more: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
-
-/// A process for one component alone.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Apart {
-    pub process: Name,
-    /// The process it is made like.
-    pub home: Name,
-}
 
 /// Facts a supervisor tells about itself.
 #[derive(Clone, Debug, Default)]
@@ -37,33 +29,6 @@ pub struct Supervisor {
     pub apart: Vec<Apart>,
     /// The GCM that wanted those.
     pub term: u64,
-}
-
-#[derive(Default)]
-pub(super) struct Isolation {
-    /// By process: the process it is made like.
-    wanted: BTreeMap<Name, Name>,
-    /// Supervisors that listen, by number, each with the processes beside which it can make others.
-    listening: BTreeMap<u64, BTreeSet<Name>>,
-    newest: u64,
-    /// Processes that were asked to be started again, with how often.
-    restarts: BTreeMap<Name, u64>,
-}
-
-impl Isolation {
-    /// Tells whether a supervisor that listens beside these keeps the process.
-    fn keeps(&self, homes: &BTreeSet<Name>, process: &Name) -> bool {
-        homes.contains(process) || self.wanted.get(process).is_some_and(|home| homes.contains(home))
-    }
-}
-
-/// A supervisor's orders.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Wanted {
-    /// All it is to keep for isolated components.
-    pub apart: Vec<Apart>,
-    /// Processes it is to start again now.
-    pub restart: Vec<Name>,
 }
 
 /// A supervisor that listens; it is counted on until this is dropped.
@@ -82,16 +47,9 @@ impl Supervising {
         loop {
             let now = {
                 let all = self.all.borrow_and_update();
-                let none = BTreeSet::new();
-                let homes = all.listening.get(&self.number).unwrap_or(&none);
-                let its = all.wanted.iter().filter(|(_, home)| homes.contains(*home));
-                let apart = its.map(|(process, home)| Apart { process: process.clone(), home: home.clone() });
-                let asked = all.restarts.iter().filter(|(process, asked)| {
-                    self.restarted.get(*process) != Some(*asked) && all.keeps(homes, process)
-                });
-                let restart = asked.map(|(process, _)| process.clone()).collect();
-                self.restarted.clone_from(&all.restarts);
-                Wanted { apart: apart.collect(), restart }
+                let orders = all.orders(self.number, &self.restarted);
+                self.restarted.clone_from(all.restarts());
+                orders
             };
             if self.told.as_ref() != Some(&now.apart) || !now.restart.is_empty() {
                 self.told = Some(now.apart.clone());
@@ -105,7 +63,7 @@ impl Supervising {
 
 impl Drop for Supervising {
     fn drop(&mut self) {
-        self.gcm.inner.isolation.send_modify(|all| _ = all.listening.remove(&self.number));
+        self.gcm.inner.isolation.send_modify(|all| all.listens_no_more(self.number));
     }
 }
 
@@ -115,13 +73,11 @@ impl Gcm {
     pub fn supervise(&self, who: Supervisor) -> Supervising {
         let (mut number, mut restarted) = (0, BTreeMap::new());
         self.inner.isolation.send_modify(|all| {
-            all.newest += 1;
-            number = all.newest;
-            restarted.clone_from(&all.restarts);
+            number = all.listens(who.processes);
+            restarted.clone_from(all.restarts());
             if who.term != self.term() {
-                all.wanted.extend(who.apart.into_iter().map(|apart| (apart.process, apart.home)));
+                all.want(who.apart);
             }
-            all.listening.insert(number, who.processes);
         });
         Supervising {
             gcm: self.clone(),
@@ -134,15 +90,7 @@ impl Gcm {
 
     /// Tells whether supervisors are there that make these.
     pub(super) fn can_be_made(&self, apart: &[Apart]) -> Result<(), Refusal> {
-        let all = self.inner.isolation.borrow();
-        match apart.iter().find(|apart| all.listening.values().all(|homes| !homes.contains(&apart.home))) {
-            Some(apart) => {
-                let known: BTreeSet<&Name> = all.listening.values().flatten().collect();
-                let known = known.into_iter().cloned().collect();
-                Err(Refusal::NotSupervised { process: apart.home.clone(), known })
-            }
-            None => Ok(()),
-        }
+        self.inner.isolation.borrow().can_be_made(apart)
     }
 
     /// Has the processes made, and waits until they are here.
@@ -154,8 +102,7 @@ impl Gcm {
             return Ok(());
         }
         let began = Instant::now();
-        let wanted = |a: &Apart| (a.process.clone(), a.home.clone());
-        self.inner.isolation.send_modify(|all| all.wanted.extend(apart.iter().map(wanted)));
+        self.inner.isolation.send_modify(|all| all.want(apart.iter().cloned()));
         let mut graphs = self.watch();
         for Apart { process, .. } in apart {
             let settled = |p: &Process| match p.state {
@@ -195,14 +142,7 @@ impl Gcm {
     pub async fn restart(&self, process: &Name, deadline: Instant) -> Result<Arc<SystemGraph>, Refusal> {
         let mut graphs = self.watch();
         let before = graphs.borrow_and_update().process(process)?.clone();
-        let kept_by_none = {
-            let all = self.inner.isolation.borrow();
-            let kept = all.listening.values().any(|homes| all.keeps(homes, process));
-            (!kept).then(|| all.listening.values().flatten().cloned().collect())
-        };
-        if let Some(known) = kept_by_none {
-            return Err(Refusal::NotSupervised { process: process.clone(), known });
-        }
+        self.inner.isolation.borrow().is_kept(process)?;
         // A process that ends in order stops its components first; those that ran before are to run again.
         self.edit_if(|graph| {
             lock(&self.inner.sessions).wanted.of(graph, process);
@@ -224,9 +164,7 @@ impl Gcm {
         deadline: Instant,
     ) -> Result<Arc<SystemGraph>, Refusal> {
         let began = Instant::now();
-        self.inner.isolation.send_modify(|all| {
-            *all.restarts.entry(process.clone()).or_default() += 1;
-        });
+        self.inner.isolation.send_modify(|all| all.restart(process));
         log::info!("process {process} is to be started again");
         let settled = |p: &Process| match p.state {
             ProcessState::Attached => p.epoch != before.epoch,
@@ -318,15 +256,11 @@ impl Gcm {
     }
 
     fn is_wanted(&self, process: &Name) -> bool {
-        self.inner.isolation.borrow().wanted.contains_key(process)
+        self.inner.isolation.borrow().is_wanted(process)
     }
 
     pub(super) fn not_wanted(&self, processes: &BTreeSet<Name>) {
-        self.inner.isolation.send_if_modified(|all| {
-            let before = all.wanted.len();
-            all.wanted.retain(|process, _| !processes.contains(process));
-            all.wanted.len() != before
-        });
+        self.inner.isolation.send_if_modified(|all| all.not_wanted(processes));
     }
 
     /// Returns the processes of isolated components that the plan has emptied.
@@ -337,7 +271,7 @@ impl Gcm {
             _ => None,
         });
         let is_empty = |process: &Name| graph.components.keys().all(|id| id.process != *process);
-        left.filter(|process| all.wanted.contains_key(*process) && is_empty(process)).cloned().collect()
+        left.filter(|process| all.is_wanted(process) && is_empty(process)).cloned().collect()
     }
 }
 

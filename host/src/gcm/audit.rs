@@ -9,7 +9,7 @@ use std::io;
 use serde_json::{Map, Value, json};
 use trocar_model::{ConnectOptions, Execution, PortId, Queue, Refusal, Request, Target, Which};
 
-use super::requests::Answer;
+use super::answer::Answer;
 use crate::system_file::words::spelled;
 
 /// Longest request that is written whole, bytes.

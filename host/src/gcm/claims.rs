@@ -13,13 +13,12 @@ use trocar_model::{
     Change, ComponentId, Pattern, Plan, Refusal, Request, SystemGraph, Target, Verb, Which, host_of,
 };
 
-use super::Gcm;
-use super::execute::id_of;
-use super::manager::lock;
+use super::changes::id_of;
+use super::lock::lock;
 
 /// Part of the system that a request touches.
 #[derive(Clone, Debug, Default)]
-struct Part {
+pub(super) struct Part {
     ids: BTreeSet<ComponentId>,
     /// Globs not resolved yet: only of a request that waits.
     globs: Vec<Pattern>,
@@ -29,7 +28,7 @@ struct Part {
 
 impl Part {
     /// Returns the part the requests name.
-    fn named(graph: &SystemGraph, requests: &[Request]) -> Part {
+    pub(super) fn named(graph: &SystemGraph, requests: &[Request]) -> Part {
         let mut part = Part::default();
         for request in requests {
             match request {
@@ -183,6 +182,30 @@ impl Claims {
         concerned
     }
 
+    /// Waits for a part of the system and takes it in the step that plans.
+    ///
+    /// # Errors
+    /// The refusals of `plan`; Busy when others took all the time.
+    pub(super) async fn claim(
+        &self,
+        named: Part,
+        deadline: Instant,
+        plan: impl Fn() -> Result<(Arc<SystemGraph>, Planned), Refusal>,
+    ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
+        let claim = self.queue(named.clone());
+        let mut news = claim.news();
+        loop {
+            news.mark_unchanged();
+            let behind = match claim.take(&named, &plan) {
+                Ok(planned) => return planned.map(|(graph, plan)| (claim, graph, plan)),
+                Err(behind) => behind,
+            };
+            if tokio::time::timeout_at(deadline.into(), news.changed()).await.is_err() {
+                return Err(Refusal::Busy { doing: behind });
+            }
+        }
+    }
+
     fn queue(&self, part: Part) -> Claim<'_> {
         let mut list = lock(&self.list);
         let number = list.next;
@@ -269,36 +292,5 @@ impl Claim<'_> {
             entry.part = part;
         }
         doing.map_or(Ok(Ok((graph, plan))), Err)
-    }
-}
-
-impl Gcm {
-    /// The right to do what `plan` makes of the graph.
-    ///
-    /// # Errors
-    /// The refusals of `plan`; Busy when others took all the time.
-    pub(super) async fn claim_part<P: Into<Planned>>(
-        &self,
-        requests: &[Request],
-        deadline: Instant,
-        plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
-    ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
-        let named = Part::named(&self.graph(), requests);
-        let claim = self.inner.claims.queue(named.clone());
-        let mut news = claim.news();
-        loop {
-            news.mark_unchanged();
-            let now = || {
-                let graph = self.graph();
-                plan(&graph).map(|plan| (graph, plan.into()))
-            };
-            let behind = match claim.take(&named, now) {
-                Ok(planned) => return planned.map(|(graph, plan)| (claim, graph, plan)),
-                Err(behind) => behind,
-            };
-            if tokio::time::timeout_at(deadline.into(), news.changed()).await.is_err() {
-                return Err(Refusal::Busy { doing: behind });
-            }
-        }
     }
 }

@@ -337,7 +337,7 @@ impl Lcm for FakeLcm {
             return Err(Refusal::lost(self.process.clone()));
         }
         self.done.lock().unwrap().push(asked.clone());
-        let id = super::execute::id_of(&change).clone();
+        let id = super::changes::id_of(&change).clone();
         if self.refuse.lock().unwrap().contains(&asked) {
             return Err(Refusal::ComponentRefused { id, entry: "start", text: "the cable is out".into() });
         }

@@ -5,22 +5,16 @@
 //! not, is cut.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use trocar_lcm_api::{ClassOf, FarEnd, Report};
 use trocar_links::Card;
-use trocar_model::{
-    Change, Connection, ConnectionId, End, Name, Plan, PortId, PortType, ProcessState, Proxy, Refusal,
-    Request, SystemGraph, made_of,
-};
+use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGraph, made_of};
 
 use super::Gcm;
-use super::execute::UNDO;
-use super::manager::lock;
+use super::changes::UNDO;
+use super::lock::lock;
 use super::sessions::{Registration, Sessions};
-
-/// Time to link again what a process that was away has lost.
-const AGAIN: Duration = Duration::from_secs(5);
 
 impl Gcm {
     /// Has both halves made and linked.
@@ -101,53 +95,6 @@ impl Gcm {
         told.unwrap_or_else(|| Err(Refusal::Internal { text: "a connection without ends".into() }))
     }
 
-    /// Links the connections of a process that lack a half although both processes are there: one process was
-    /// away while the other half was made.
-    pub(super) async fn link_missing(self, process: Name) {
-        let deadline = Instant::now() + AGAIN;
-        let missing: Vec<Connection> = {
-            let graph = self.graph();
-            let mine = graph.connections.values().filter(|c| c.ends_in(&process));
-            mine.filter(|c| is_missing(&graph, c)).cloned().collect()
-        };
-        for connection in missing {
-            let (client, server) = (connection.client.clone(), connection.server.clone());
-            let part = [Request::Connect { client, server, options: connection.options.clone() }];
-            let claim = self.claim_part(&part, deadline, |_| Ok(Plan::default())).await;
-            let linked = match claim {
-                Ok(_claim) if !is_missing(&self.graph(), &connection) => Ok(()),
-                Ok(_claim) => self.link(&connection, deadline).await.map(|_| ()),
-                Err(refusal) => Err(refusal),
-            };
-            if let Err(refusal) = linked {
-                log::error!("connection {} is not linked again: {refusal}", connection.id.0);
-                self.not_linked(&connection, &refusal).await;
-            }
-        }
-    }
-
-    /// Shows why a connection that is to be has no halves.
-    pub(super) async fn not_linked(&self, connection: &Connection, refusal: &Refusal) {
-        let ends = [End::Client, End::Server].map(|end| (end, &connection.port(end).component.process));
-        for (_, process) in ends {
-            // News of the end of a half that was made for nothing would cover the reason.
-            self.hear_out(process).await;
-        }
-        self.edit(|graph| {
-            let SystemGraph { proxies, connections, .. } = graph;
-            // Entries of connections that have gone since are removed.
-            proxies.retain(|(id, _), half| !half.carrier.is_empty() || connections.contains_key(id));
-            if !connections.contains_key(&connection.id) {
-                return;
-            }
-            for (end, process) in ends {
-                let why = refusal.to_string();
-                let none = Proxy { process: process.clone(), epoch: 0, why, carrier: String::new() };
-                proxies.entry((connection.id, end)).or_insert(none);
-            }
-        });
-    }
-
     /// Has halves cut that belong to no known connection. Not waited for.
     pub(super) fn cut_strays(&self, strays: Vec<(Name, Connection)>) {
         for (process, connection) in strays {
@@ -217,21 +164,6 @@ fn other<'c>(connection: &'c Connection, process: &Name) -> &'c Name {
         client if client == process => &connection.server.component.process,
         client => client,
     }
-}
-
-/// Tells whether both processes are there, but not both have their half.
-fn is_missing(graph: &SystemGraph, connection: &Connection) -> bool {
-    let attached =
-        |process: &Name| graph.processes.get(process).is_some_and(|p| p.state == ProcessState::Attached);
-    // An entry without a carrier only says why there is no half.
-    let is_half =
-        |((id, _), half): &(&(ConnectionId, End), &Proxy)| *id == connection.id && !half.carrier.is_empty();
-    let told = graph.proxies.iter().filter(is_half).count();
-    graph.connections.contains_key(&connection.id)
-        && !connection.is_near()
-        && !graph.is_guests(&connection.client)
-        && [&connection.client, &connection.server].iter().all(|end| attached(&end.component.process))
-        && told < 2
 }
 
 /// Decides which connections to other processes a registering process has. Decisions of this GCM count first.

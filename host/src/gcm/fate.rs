@@ -9,8 +9,8 @@ use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph, Warning
 
 use super::Gcm;
 use super::far::awaited;
-use super::manager::lock;
-use super::sessions::said_lost;
+use super::heard::said_lost;
+use super::lock::lock;
 
 /// State of a process, as its supervisor tells it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,8 +8,8 @@ use std::time::Instant;
 use trocar_model::{Plan, Refusal, Request, SystemGraph, plan_all};
 
 use super::Gcm;
-use super::execute::Executed;
-use super::stop::Carrying;
+use super::answer::Executed;
+use super::carrying::Carrying;
 
 /// Returns the plan of the requests, or of the first ones that must be done before the others can be planned,
 /// and their number.
@@ -68,14 +68,14 @@ impl Gcm {
                 }
                 Ok((plan, first)) => {
                     let mut more = Executed { plan, ..Executed::default() };
-                    self.all_or_nothing(carrying, &mut more, deadline).await.map(|()| (more, first))
+                    carrying.all_or_nothing(&mut more, deadline).await.map(|()| (more, first))
                 }
                 Err(refusal) => Err(refusal),
             };
             let (more, first) = match made {
                 Ok(made) => made,
                 Err(refusal) => {
-                    self.undo(carrying, &done.plan.changes).await;
+                    carrying.undo(&done.plan.changes).await;
                     return Err(refusal);
                 }
             };

@@ -3,36 +3,19 @@
 //! Invariant: every edit of the graph is one closure under the watch channel's lock, so readers see whole
 //! states only; the revision grows by one per accepted request that changed something, and by nothing else.
 
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 
-use super::apart::Isolation;
 use super::claims::Claims;
 use super::holds::Holds;
-use super::ids::{Ids, IdsError};
+use super::ids::Ids;
+use super::isolation::Isolation;
 use super::lines::Lines;
 use super::requests::Answers;
 use super::sessions::Sessions;
-
-/// Settings of a GCM.
-#[derive(Clone, Debug)]
-pub struct GcmConfig {
-    /// Folder of term and epochs; `None` for a system that leaves nothing behind.
-    pub state: Option<PathBuf>,
-    /// Time for each change that gives a restarted process its components back. A change that hangs costs the
-    /// others no more.
-    pub each_change: Duration,
-}
-
-impl Default for GcmConfig {
-    fn default() -> Self {
-        GcmConfig { state: None, each_change: Duration::from_secs(20) }
-    }
-}
 
 /// A handle; clones share one GCM.
 #[derive(Clone)]
@@ -55,27 +38,21 @@ pub(super) struct Inner {
 }
 
 impl Gcm {
-    /// A GCM without processes, in a new term.
-    ///
-    /// # Errors
-    /// The state folder cannot be used.
-    pub async fn start(config: GcmConfig) -> Result<Gcm, IdsError> {
+    /// A GCM without processes.
+    pub(super) fn new(ids: Ids, each_change: Duration) -> Gcm {
         let graph = SystemGraph { next_connection: 1, ..SystemGraph::default() };
-        let gcm = Gcm {
-            inner: Arc::new(Inner {
-                ids: Ids::open(config.state.as_deref())?,
-                each_change: config.each_change,
-                graph: watch::channel(Arc::new(graph)).0,
-                sessions: Mutex::default(),
-                claims: Claims::default(),
-                answers: Mutex::default(),
-                holds: Mutex::default(),
-                isolation: watch::Sender::new(Isolation::default()),
-                lines: Arc::default(),
-            }),
+        let inner = Inner {
+            ids,
+            each_change,
+            graph: watch::channel(Arc::new(graph)).0,
+            sessions: Mutex::default(),
+            claims: Claims::default(),
+            answers: Mutex::default(),
+            holds: Mutex::default(),
+            isolation: watch::Sender::new(Isolation::default()),
+            lines: Arc::default(),
         };
-        gcm.keep_phases();
-        Ok(gcm)
+        Gcm { inner: Arc::new(inner) }
     }
 
     /// The graph as it is now.
@@ -141,6 +118,16 @@ impl Gcm {
     pub(super) fn edit(&self, f: impl FnOnce(&mut SystemGraph)) {
         self.inner.graph.send_modify(|graph| f(Arc::make_mut(graph)));
     }
+
+    /// Counts one more accepted request.
+    pub(super) fn accepted(&self) -> u64 {
+        let mut revision = 0;
+        self.edit(|graph| {
+            graph.revision += 1;
+            revision = graph.revision;
+        });
+        revision
+    }
 }
 
 /// Returns the time a caller was given, as it is told: whole ms, where there are any.
@@ -148,9 +135,4 @@ pub(crate) fn given_ns(began: Instant, deadline: Instant) -> u64 {
     let given = deadline.saturating_duration_since(began);
     let ms = (given.as_secs_f64() * 1e3).round() as u64;
     if ms > 0 { ms * 1_000_000 } else { given.subsec_nanos().into() }
-}
-
-/// Nothing here leaves a lock's content half changed, so a panic elsewhere is no reason to end.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,46 +1,69 @@
 //! The Global Component Manager: owns the system graph, carries out plans, knows the processes.
 //!
-//! Invariant: only [`Gcm`] changes the graph; no lock that Stop needs is held while an LCM is asked.
+//! Invariant: only [`Gcm`] changes the graph; no lock that Stop needs is held while an LCM is asked. A file
+//! uses its own floor and those below: data, the manager, what drives a change, the verbs and followers.
 
+// Data, which knows no GCM.
+mod answer;
+mod changes;
+mod claims;
+mod guest_lcm;
+mod holds;
+mod ids;
+mod isolation;
+mod lines;
+mod lock;
+mod requests;
+mod sessions;
+mod text;
+mod wanted;
+
+// The manager, which owns the data.
+mod manager;
+
+// What drives a change.
+mod carrying;
+mod far;
+mod heard;
+mod observed;
+mod one_change;
+
+// Verbs and followers.
 mod apart;
 mod audit;
 mod awaiting;
 mod away;
-mod claims;
 mod execute;
-mod far;
 mod fate;
+mod follow;
 mod generated;
 mod guests;
-mod holds;
-mod ids;
-mod lines;
-mod manager;
-mod observed;
+mod holding;
 mod phases;
-mod requests;
+mod register;
+mod relink;
 mod restore;
-mod sessions;
+mod start;
 mod stop;
 mod system;
-mod text;
-mod wanted;
 
 #[cfg(test)]
 pub(crate) mod fake;
 #[cfg(test)]
 mod tests;
 
-pub use apart::{Apart, Supervising, Supervisor, Wanted};
+pub use answer::{ExecuteOptions, Executed};
+pub use apart::{Supervising, Supervisor};
 pub use awaiting::Listening;
-pub use execute::{ExecuteOptions, Executed};
 pub use fate::{Fate, Told};
 pub use guests::{Guest, Joined, Requirement};
-pub use holds::Held;
+pub use holding::Held;
 pub use ids::IdsError;
+pub use isolation::{Apart, Wanted};
 pub use lines::Lines;
+pub use manager::Gcm;
 pub(crate) use manager::given_ns;
-pub use manager::{Gcm, GcmConfig};
 pub(crate) use observed::observe;
 pub use sessions::{Registered, Registration, Slice};
+pub use start::GcmConfig;
 pub(crate) use text::{asked, lines as plan_lines};

@@ -9,7 +9,7 @@ use trocar_lcm_api::Report;
 use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Refusal, SystemGraph};
 
 use super::Gcm;
-use super::execute::UNDO;
+use super::changes::UNDO;
 
 /// Enters what an LCM reported; components the graph does not have are not added. Returns the connections
 /// that no longer fit and which the LCM did not say it had cut, and those of which another LCM has the other

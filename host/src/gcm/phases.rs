@@ -11,7 +11,7 @@ use tokio::task::JoinSet;
 use trocar_model::{ComponentId, Name, Phase, Refusal, StepTimes, SystemGraph, phases, steps_matter};
 
 use super::Gcm;
-use super::manager::lock;
+use super::lock::lock;
 
 /// Time between two looks at what steps take, while samples pass between components of one grid; also the
 /// time until an LCM that did not answer is asked again.

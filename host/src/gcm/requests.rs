@@ -9,16 +9,13 @@ use std::time::{Duration, Instant};
 
 use sha2::{Digest, Sha256};
 use tokio::sync::watch;
-use trocar_model::Refusal;
 
-use super::execute::Executed;
+use super::answer::Answer;
 
 const KEPT: usize = 4096;
 /// Bytes that all answers together may take, about.
 const BYTES: usize = 64 << 20;
 const AGE: Duration = Duration::from_secs(600);
-
-pub(super) type Answer = Result<Executed, Refusal>;
 
 /// State of a request id.
 pub(super) enum Known {
@@ -130,8 +127,9 @@ fn length(answer: &Answer) -> usize {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use trocar_model::{Request, Target};
+    use trocar_model::{Refusal, Request, Target};
 
+    use super::super::Executed;
     use super::*;
 
     fn stop(path: &str) -> Vec<Request> {

@@ -13,9 +13,9 @@ use trocar_model::{
 };
 
 use super::Gcm;
-use super::execute::id_of;
-use super::manager::lock;
-use super::stop::Carrying;
+use super::carrying::Carrying;
+use super::changes::id_of;
+use super::lock::lock;
 use super::text;
 
 /// Time for one connection to another process, which may end in the middle of it.

@@ -5,142 +5,20 @@
 //! the marks are looked at; so one of the two always sees the other.
 
 use std::collections::BTreeSet;
-use std::time::Instant;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use trocar_lcm_api::Report;
-use trocar_model::{
-    Change, ComponentId, Health, Plan, Refusal, Request, State, StopReason, Target, Verb, allowed, plan_all,
-};
+use trocar_model::{Change, ComponentId, Plan, ProcessState, Refusal, Request, State, Target, plan_all};
 
-use super::Gcm;
-use super::claims::Claim;
-use super::execute::{Executed, HUNG, UNDO, id_of};
-use super::requests::Answer;
-use super::text;
+use super::answer::{Answer, Executed};
+use super::changes::{id_of, names};
+use super::lock::lock;
+use super::wanted::RESTARTED;
+use super::{Gcm, text};
 
-/// A change set being carried out.
-pub(super) struct Carrying<'a> {
-    gcm: &'a Gcm,
-    claim: Claim<'a>,
-}
-
-impl<'a> Carrying<'a> {
-    pub(super) fn begin(gcm: &'a Gcm, claim: Claim<'a>, plan: &Plan) -> Carrying<'a> {
-        let carrying = Carrying { gcm, claim };
-        carrying.goes_on(plan);
-        carrying
-    }
-
-    /// Carries out this plan, too, which touches nothing that another request has; false: it does.
-    pub(super) fn widens(&self, plan: &Plan, is_whole: bool) -> bool {
-        let is_free = self.claim.widen(plan, is_whole);
-        if is_free {
-            self.goes_on(plan);
-        }
-        is_free
-    }
-
-    fn goes_on(&self, plan: &Plan) {
-        let moves = |change: &&Change| {
-            matches!(change, Change::Run { from: State::Active, .. } | Change::Run { to: State::Active, .. })
-        };
-        let moving: BTreeSet<_> = plan.changes.iter().filter(moves).map(|c| id_of(c).clone()).collect();
-        self.claim.marks(|marks| marks.moving.extend(moving));
-    }
-
-    /// Carries out one change. A component that a Stop named meanwhile is not set in motion, or not left so.
-    /// A component that hangs and is to be stopped or removed is not waited for.
-    pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
-        self.claim.doing(text::asked(change));
-        let Change::Run { id, verb, to: State::Active, .. } = change else {
-            return tokio::select! {
-                biased;
-                done = self.gcm.one(change, deadline) => done,
-                refusal = self.given_up(change) => Err(refusal),
-            };
-        };
-        self.not_stopped(id, *verb)?;
-        let to = State::Stopped(StopReason::Requested);
-        let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to };
-        let done = tokio::select! {
-            biased;
-            done = self.gcm.one(change, deadline) => done,
-            refusal = self.given_up(change) => {
-                // The caller is told that the component stands still only when its Stop is done or known to
-                // hang.
-                if let Err(e) = self.gcm.one(&stop, Instant::now() + HUNG).await {
-                    log::error!("{} was given up: {e}", text::asked(change));
-                }
-                return Err(refusal);
-            }
-        };
-        let report = match done {
-            Ok(report) => report,
-            Err(refusal @ Refusal::LcmTimeout { .. }) => {
-                // The start may still be done, late; no caller may be told that it failed and see the
-                // component move. The Stop is not waited for: the caller's time is over.
-                let gcm = self.gcm.clone();
-                tokio::spawn(async move { gcm.one(&stop, Instant::now() + UNDO).await });
-                return Err(refusal);
-            }
-            Err(refusal) => return Err(refusal),
-        };
-        if let Err(refusal) = self.not_stopped(id, *verb) {
-            self.gcm.one(&stop, Instant::now() + UNDO).await?;
-            return Err(refusal);
-        }
-        Ok(report)
-    }
-
-    fn not_stopped(&self, id: &ComponentId, verb: Verb) -> Result<(), Refusal> {
-        if !self.claim.marks(|marks| marks.stops.iter().any(|target| names(target, id))) {
-            return Ok(());
-        }
-        let state = State::Stopped(StopReason::Requested);
-        let why = format!("it was stopped while this {verb} was being carried out");
-        Err(Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why })
-    }
-
-    /// Ends when the component of the change hangs and is to be stopped or removed.
-    async fn given_up(&self, change: &Change) -> Refusal {
-        let (id, verb, moves) = match change {
-            Change::Run { id, verb, to, .. } if !matches!(verb, Verb::Stop | Verb::Remove) => {
-                (id, *verb, *to == State::Active)
-            }
-            Change::Configure { id, .. } => (id, Verb::Configure, false),
-            _ => return std::future::pending().await,
-        };
-        let (mut graphs, mut marked) = (self.gcm.watch(), self.claim.news());
-        loop {
-            let hung = graphs.borrow_and_update().components.get(id).map(|c| (c.state, c.health));
-            marked.mark_unchanged();
-            if moves
-                && matches!(hung, Some((_, Health::Unresponsive)))
-                && let Err(refusal) = self.not_stopped(id, verb)
-            {
-                return refusal;
-            }
-            if let Some((state, Health::Unresponsive)) = hung
-                && self.claim.marks(|marks| marks.removed.contains(id))
-            {
-                let why = format!("it hangs and is being removed while this {verb} was being carried out");
-                return Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why };
-            }
-            // Neither ends before this does.
-            tokio::select! {
-                _ = graphs.changed() => {}
-                _ = marked.changed() => {}
-            }
-        }
-    }
-}
-
-pub(super) fn names(target: &Target, id: &ComponentId) -> bool {
-    match target {
-        Target::One(one) => one == id,
-        Target::Glob(pattern) => pattern.matches(id),
-    }
-}
+/// Time to stop the components that were stopped while their process was away.
+const WITHIN: Duration = Duration::from_secs(5);
 
 impl Gcm {
     /// Stops; never refused for a revision, never behind another request.
@@ -254,6 +132,75 @@ impl Gcm {
         match done.failed.first() {
             Some((_, refusal)) if done.reports.is_empty() => Err(refusal.clone()),
             _ => Ok(()),
+        }
+    }
+
+    /// Notes components that are stopped and cannot be told, because their process is away. True: a component
+    /// that might have been set in motion by itself is now to stand still, and the revision is a new one, so
+    /// that no earlier decision sets it in motion.
+    pub(super) fn keep_stopped(&self, targets: &[Target]) -> bool {
+        let mut noted = false;
+        self.edit_if(|graph| {
+            let mut sessions = lock(&self.inner.sessions);
+            let stopped =
+                graph.components.iter().filter(|(id, _)| targets.iter().any(|target| names(target, id)));
+            for (id, component) in stopped {
+                let there = |state: ProcessState| state == ProcessState::Attached;
+                noted |= match graph.processes.get(&id.process) {
+                    Some(process) if there(process.state) => {
+                        sessions.wanted.stop_again(id);
+                        component.state == RESTARTED
+                    }
+                    _ => sessions.wanted.stop(id, component.state),
+                };
+            }
+            if noted {
+                Arc::make_mut(graph).revision += 1;
+            }
+            noted
+        });
+        noted
+    }
+
+    /// Stops a component. If its process goes away meanwhile, it is stopped when that process comes back.
+    pub(super) async fn stop_one(&self, stop: &Change, deadline: Instant) -> Result<Report, Refusal> {
+        let id = id_of(stop);
+        let asked = lock(&self.inner.sessions).holder(&id.process);
+        let lost = match self.one(stop, deadline).await {
+            Err(lost @ Refusal::ProcessLost { .. }) => lost,
+            done => return done,
+        };
+        let mut is_back = false;
+        self.edit_if(|graph| {
+            let mut sessions = lock(&self.inner.sessions);
+            let holder = sessions.holder(&id.process);
+            is_back = holder.is_some() && holder != asked;
+            if let Some(component) = graph.components.get(id).filter(|_| !is_back) {
+                sessions.wanted.stop(id, component.state);
+            }
+            false
+        });
+        if is_back { self.one(stop, deadline).await } else { Err(lost) }
+    }
+
+    /// Stops the components that were stopped while their process was away, which has come back as it was.
+    pub(super) fn stop_owed(&self, session: u64, owed: Vec<(ComponentId, State)>) {
+        for (id, _) in owed {
+            let gcm = self.clone();
+            tokio::spawn(async move {
+                log::warn!("{id} was stopped while its process was away, and runs: it is stopped now");
+                let request = [Request::Stop { targets: vec![Target::One(id.clone())] }];
+                match gcm.stop(&request, false, Instant::now() + WITHIN).await {
+                    // The component is stopped when the process is back again.
+                    Err(Refusal::ProcessLost { .. }) => return,
+                    Err(refusal) => log::error!("{id} cannot be stopped: {refusal}"),
+                    Ok(_) => {}
+                }
+                let mut sessions = lock(&gcm.inner.sessions);
+                if sessions.holder(&id.process) == Some(session) {
+                    sessions.wanted.stands(&id);
+                }
+            });
         }
     }
 }

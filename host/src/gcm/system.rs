@@ -10,9 +10,8 @@ use std::time::Instant;
 use trocar_model::{ComponentId, Name, Refusal};
 
 use super::Gcm;
-use super::execute::{ExecuteOptions, Executed};
-use super::manager::lock;
-use super::requests::Answer;
+use super::answer::{Answer, ExecuteOptions, Executed};
+use super::lock::lock;
 use crate::system_file::{Difference, Running, SystemFile};
 
 /// Comparisons of a system that others change meanwhile, at most.

@@ -4,21 +4,8 @@
 //! whatever becomes of the process meanwhile; a decision made before the Stop does not set it in motion.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
 
-use trocar_lcm_api::Report;
-use trocar_model::{
-    Change, ComponentId, Health, Name, ProcessState, Refusal, Request, State, StopReason, SystemGraph, Target,
-};
-
-use super::Gcm;
-use super::execute::id_of;
-use super::manager::lock;
-use super::stop::names;
-
-/// Time to stop the components that were stopped while their process was away.
-const WITHIN: Duration = Duration::from_secs(5);
+use trocar_model::{ComponentId, Health, Name, State, StopReason, SystemGraph};
 
 #[derive(Default)]
 pub(super) struct Wanted {
@@ -45,7 +32,7 @@ impl Wanted {
     }
 
     /// Notes that a component seen in state `seen` is to stand still when it comes back. True: that is new.
-    fn stop(&mut self, id: &ComponentId, seen: State) -> bool {
+    pub(super) fn stop(&mut self, id: &ComponentId, seen: State) -> bool {
         let state = self.states.get(id).copied().unwrap_or(seen);
         let moves_again = matches!(state, State::Active | State::Fault | RESTARTED);
         if moves_again {
@@ -55,7 +42,7 @@ impl Wanted {
     }
 
     /// Notes a Stop while the process is here, which may be about to be started again.
-    fn stop_again(&mut self, id: &ComponentId) {
+    pub(super) fn stop_again(&mut self, id: &ComponentId) {
         if let Some(state) = self.states.get_mut(id) {
             *state = REQUESTED;
         }
@@ -76,6 +63,11 @@ impl Wanted {
         owed.collect()
     }
 
+    /// Notes that a component that was to be stopped stands still.
+    pub(super) fn stands(&mut self, id: &ComponentId) {
+        self.states.remove(id);
+    }
+
     /// Notes that the process is here; only `owed` is kept in mind of it.
     pub(super) fn here(&mut self, process: &Name, owed: &[(ComponentId, State)]) {
         self.unfinished.remove(process);
@@ -83,76 +75,5 @@ impl Wanted {
     }
 }
 
-const RESTARTED: State = State::Stopped(StopReason::Restarted);
+pub(super) const RESTARTED: State = State::Stopped(StopReason::Restarted);
 const REQUESTED: State = State::Stopped(StopReason::Requested);
-
-impl Gcm {
-    /// Notes components that are stopped and cannot be told, because their process is away. True: a component
-    /// that might have been set in motion by itself is now to stand still, and the revision is a new one, so
-    /// that no earlier decision sets it in motion.
-    pub(super) fn keep_stopped(&self, targets: &[Target]) -> bool {
-        let mut noted = false;
-        self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
-            let stopped =
-                graph.components.iter().filter(|(id, _)| targets.iter().any(|target| names(target, id)));
-            for (id, component) in stopped {
-                let there = |state: ProcessState| state == ProcessState::Attached;
-                noted |= match graph.processes.get(&id.process) {
-                    Some(process) if there(process.state) => {
-                        sessions.wanted.stop_again(id);
-                        component.state == RESTARTED
-                    }
-                    _ => sessions.wanted.stop(id, component.state),
-                };
-            }
-            if noted {
-                Arc::make_mut(graph).revision += 1;
-            }
-            noted
-        });
-        noted
-    }
-
-    /// Stops a component. If its process goes away meanwhile, it is stopped when that process comes back.
-    pub(super) async fn stop_one(&self, stop: &Change, deadline: Instant) -> Result<Report, Refusal> {
-        let id = id_of(stop);
-        let asked = lock(&self.inner.sessions).holder(&id.process);
-        let lost = match self.one(stop, deadline).await {
-            Err(lost @ Refusal::ProcessLost { .. }) => lost,
-            done => return done,
-        };
-        let mut is_back = false;
-        self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
-            let holder = sessions.holder(&id.process);
-            is_back = holder.is_some() && holder != asked;
-            if let Some(component) = graph.components.get(id).filter(|_| !is_back) {
-                sessions.wanted.stop(id, component.state);
-            }
-            false
-        });
-        if is_back { self.one(stop, deadline).await } else { Err(lost) }
-    }
-
-    /// Stops the components that were stopped while their process was away, which has come back as it was.
-    pub(super) fn stop_owed(&self, session: u64, owed: Vec<(ComponentId, State)>) {
-        for (id, _) in owed {
-            let gcm = self.clone();
-            tokio::spawn(async move {
-                log::warn!("{id} was stopped while its process was away, and runs: it is stopped now");
-                let request = [Request::Stop { targets: vec![Target::One(id.clone())] }];
-                match gcm.stop(&request, false, Instant::now() + WITHIN).await {
-                    // The component is stopped when the process is back again.
-                    Err(Refusal::ProcessLost { .. }) => return,
-                    Err(refusal) => log::error!("{id} cannot be stopped: {refusal}"),
-                    Ok(_) => {}
-                }
-                let mut sessions = lock(&gcm.inner.sessions);
-                if sessions.holder(&id.process) == Some(session) {
-                    sessions.wanted.states.remove(&id);
-                }
-            });
-        }
-    }
-}

@@ -1,0 +1,34 @@
+//! Facts about single changes: whose LCM carries one out, whom a request names, and the times that changes
+//! get beside the deadline of their request.
+//!
+//! Invariant: pure; whatever asks an LCM for changes takes its times from here.
+
+use std::time::Duration;
+
+use trocar_model::{Change, ComponentId, Target};
+
+/// Time a rollback gets for each change, beyond the request's own deadline.
+pub(super) const UNDO: Duration = Duration::from_secs(2);
+/// Time a component gets to stop before it is removed, or after it was found to hang.
+pub(super) const HUNG: Duration = Duration::from_secs(1);
+
+/// Returns the component whose LCM carries the change out.
+pub(super) fn id_of(change: &Change) -> &ComponentId {
+    match change {
+        Change::Create { id, .. }
+        | Change::Destroy { id, .. }
+        | Change::Configure { id, .. }
+        | Change::Run { id, .. } => id,
+        Change::Connect { connection } | Change::Disconnect { connection, .. } => {
+            &connection.client.component
+        }
+    }
+}
+
+/// Tells whether a target names the component.
+pub(super) fn names(target: &Target, id: &ComponentId) -> bool {
+    match target {
+        Target::One(one) => one == id,
+        Target::Glob(pattern) => pattern.matches(id),
+    }
+}

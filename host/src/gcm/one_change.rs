@@ -1,0 +1,73 @@
+//! One change: done by its LCM, then entered in the graph.
+//!
+//! Invariant: a change is entered only after its LCM did it, and the wait for the LCM ends by the deadline.
+
+use std::time::{Duration, Instant};
+
+use trocar_lcm_api::Report;
+use trocar_model::{Change, Component, Plan, Refusal};
+
+use super::changes::id_of;
+use super::lock::lock;
+use super::observed::{observe, stand_by};
+use super::{Gcm, text};
+
+/// Time an LCM gets beyond the deadline: it keeps deadlines itself and says what hung; after this it is not
+/// waited for.
+const GRACE: Duration = Duration::from_millis(50);
+
+impl Gcm {
+    /// Carries out one change: done by the LCM, then entered in the graph.
+    pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
+        let process = &id_of(change).process;
+        let asked = async {
+            match change {
+                Change::Connect { connection } if !connection.is_near() => {
+                    self.link(connection, deadline).await
+                }
+                Change::Disconnect { connection, replaced } if !connection.is_near() => {
+                    self.unlink(connection, *replaced, deadline).await
+                }
+                near => self.lcm_of(process)?.apply(near.clone(), deadline).await,
+            }
+        };
+        let asked = tokio::time::timeout_at((deadline + GRACE).into(), asked).await;
+        let timeout = || Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) };
+        let report = match asked.unwrap_or_else(|_| Err(timeout())) {
+            Ok(report) => report,
+            // An LCM by itself cuts a connection that loses its port, and tells so after that: the wanted
+            // change is done.
+            Err(refusal @ Refusal::ConnectionNotFound { .. }) => self.as_known(change).ok_or(refusal)?,
+            Err(refusal) => {
+                self.hear_out(process).await;
+                return Err(refusal);
+            }
+        };
+        let mut loose = Vec::new();
+        self.edit(|graph| {
+            let is_newest = lock(&self.inner.sessions).is_newest(&report);
+            let known = graph.components.get(&report.id).cloned();
+            let revision = graph.revision;
+            graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
+            graph.revision = revision;
+            loose = observe(graph, &report);
+            if !is_newest {
+                stand_by(graph, &report.id, known);
+            }
+        });
+        if let Change::Destroy { id, .. } = change {
+            lock(&self.inner.holds).removed(id);
+        }
+        self.cut_off(loose);
+        Ok(report)
+    }
+
+    /// Returns the known state of the client of a connection that is to be cut.
+    fn as_known(&self, change: &Change) -> Option<Report> {
+        let Change::Disconnect { connection, .. } = change else { return None };
+        let id = connection.client.component.clone();
+        let Component { state, health, fault, .. } = self.graph().components.get(&id)?.clone();
+        let (ports, lost_connections, warnings) = (None, Vec::new(), Vec::new());
+        Some(Report { id, number: 0, state, health, fault, ports, lost_connections, warnings })
+    }
+}

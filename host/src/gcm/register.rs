@@ -1,0 +1,192 @@
+//! Takes processes in, and again with what they still have.
+//!
+//! Invariant: a process that was lost or replaced while it was taken in changes nothing.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+use trocar_lcm_api::{Inventory, Lcm, Report};
+use trocar_model::{
+    ComponentId, Connection, ConnectionId, Here, Name, Process, ProcessState, Refusal, State, SystemGraph,
+};
+
+use super::Gcm;
+use super::far::settle;
+use super::follow::follow;
+use super::lock::lock;
+use super::observed::{loosen, observe};
+use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
+
+/// Callers that may wait at once until the news of a process is entered.
+const ASKING: usize = 64;
+
+impl Gcm {
+    /// Takes a process in and follows its news until it is lost. A process that comes back (same instance, or
+    /// with a slice from before this GCM) keeps its components and its epoch; another incarnation gets what
+    /// the last one was to have, made anew.
+    ///
+    /// # Errors
+    /// The name is taken by another process that is heard; the epoch cannot be made durable.
+    pub async fn register(
+        &self,
+        who: Registration,
+        lcm: Arc<dyn Lcm>,
+        inventory: Inventory,
+    ) -> Result<Registered, Refusal> {
+        // Before the inventory is entered, so that no news falls between.
+        let news = lcm.news();
+        let (asks, asked) = mpsc::channel(ASKING);
+        let claimed = {
+            // Taken before the lock: an editor of the graph may take the lock of the sessions inside.
+            let (graph, card) = (self.graph(), inventory.card.clone());
+            lock(&self.inner.sessions).claim(&graph, &self.inner.ids, &who, lcm.clone(), asks, card)?
+        };
+        let Claimed { session, epoch, back } = claimed;
+        let mut taken = TakenIn::default();
+        self.edit(|graph| {
+            let mut sessions = lock(&self.inner.sessions);
+            // Its end was told, or it was replaced, while it was taken in.
+            if sessions.holder(&who.process) == Some(session) {
+                taken = take_in(&mut sessions, graph, &who, &claimed, inventory);
+            }
+        });
+        let word = if back { "is back" } else { "registered" };
+        log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
+        self.cut_off(taken.loose);
+        self.cut_strays(taken.strays);
+        let (gcm, lcm) = (Arc::downgrade(&self.inner), Arc::downgrade(&lcm));
+        tokio::spawn(follow(gcm, who.process.clone(), session, lcm, news, asked));
+        self.stop_owed(session, taken.owed);
+        match taken.gets_back {
+            Some(here) => _ = tokio::spawn(self.clone().restore(who.process, session, here)),
+            None => _ = tokio::spawn(self.clone().link_missing(who.process)),
+        }
+        Ok(Registered { session, epoch, term: self.term(), revision: self.graph().revision })
+    }
+}
+
+/// Tasks that remain when a process is entered in the graph.
+#[derive(Default)]
+struct TakenIn {
+    /// Connections that do not fit any more.
+    loose: Vec<Connection>,
+    /// Halves to be cut, by process.
+    strays: Vec<(Name, Connection)>,
+    /// Components to be stopped that run.
+    owed: Vec<(ComponentId, State)>,
+    /// Parts that are here already, when the process gets back the others.
+    gets_back: Option<Here>,
+}
+
+/// Enters a process with what it has and what it is to have.
+fn take_in(
+    sessions: &mut Sessions,
+    graph: &mut SystemGraph,
+    who: &Registration,
+    claimed: &Claimed,
+    inventory: Inventory,
+) -> TakenIn {
+    let mut taken = TakenIn::default();
+    let empty = who.slice.components.is_empty() && inventory.components.is_empty();
+    let begins = !claimed.back && empty && graph.components.keys().any(|id| id.process == who.process);
+    // The process may be lost, and come back, in the middle of its restart.
+    let goes_on = claimed.back && sessions.wanted.is_unfinished(&who.process);
+    graph.proxies.retain(|_, half| half.process != who.process);
+    sessions.counts_anew(&who.process);
+    if begins || goes_on {
+        sessions.wanted.begin(&who.process);
+        taken.gets_back = Some(already(graph, who, &inventory));
+    } else {
+        adopt(graph, who, claimed.back, &inventory);
+        taken.owed = sessions.wanted.owed(graph, &who.process);
+        sessions.wanted.here(&who.process, &taken.owed);
+    }
+    taken.strays = settle(sessions, graph, who);
+    // A component that is not configured yet does not have all its ports.
+    if taken.gets_back.is_none() {
+        taken.loose = inventory.components.iter().flat_map(|report| loosen(graph, &report.id)).collect();
+    }
+    for half in inventory.halves {
+        let key = (ConnectionId(half.connection), half.end);
+        graph.proxies.extend(half.proxy.map(|proxy| (key, proxy)));
+    }
+    let before = graph.processes.get(&who.process);
+    let (last_exit, restarts) = before.map(|p| (p.last_exit.clone(), p.restarts)).unwrap_or_default();
+    let state = match taken.gets_back {
+        Some(_) => ProcessState::Restarting,
+        None => ProcessState::Attached,
+    };
+    let now = Process {
+        epoch: claimed.epoch,
+        state,
+        endpoint: who.endpoint.clone(),
+        pid: who.pid,
+        classes: inventory.classes,
+        last_exit,
+        restarts,
+        warnings: inventory.warnings,
+        guest: who.guest.clone(),
+    };
+    graph.processes.insert(who.process.clone(), now);
+    taken
+}
+
+/// Enters the parts a process has already of those it gets back; the rest stays listed as lost.
+fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> Here {
+    let mut here = Here::default();
+    for report in &inventory.components {
+        if !graph.components.contains_key(&report.id) {
+            log::warn!("{} exists in process {} and is not known here", report.id, who.process);
+            continue;
+        }
+        // Its ports are told once it is configured.
+        let ports = report.ports.clone().filter(|_| report.state != State::Created);
+        observe(graph, &Report { ports, ..report.clone() });
+        here.components.insert(report.id.clone(), report.state);
+    }
+    here.connections = who.slice.connections.iter().map(|c| c.id).collect();
+    here
+}
+
+/// Enters the components and connections of a process: those it was told to have, as far as it still has
+/// them. [`settle`] handles the connections to other processes.
+fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) {
+    let Slice { mut components, mut connections } = who.slice.clone();
+    let mine = |c: &Connection| c.is_near() && c.ends_in(&who.process);
+    if back && components.is_empty() {
+        let ours = graph.components.iter().filter(|(id, _)| id.process == who.process);
+        components = ours.map(|(id, c)| (id.clone(), c.clone())).collect();
+        connections = graph.connections.values().filter(|c| mine(c)).cloned().collect();
+    }
+    graph.components.retain(|id, _| id.process != who.process);
+    graph.connections.retain(|_, c| !mine(c));
+    connections.retain(mine);
+    let reports: BTreeMap<&ComponentId, &Report> = inventory.components.iter().map(|r| (&r.id, r)).collect();
+    components.retain(|(id, _)| id.process == who.process && reports.contains_key(id));
+    graph.components.extend(components);
+    for report in &inventory.components {
+        if graph.components.contains_key(&report.id) {
+            observe(graph, report);
+        } else {
+            log::warn!("{} exists in process {} and is not known here", report.id, who.process);
+        }
+    }
+    for connection in connections {
+        let known = |id: &ComponentId| graph.components.contains_key(id);
+        if !known(&connection.client.component) || !known(&connection.server.component) {
+            continue;
+        }
+        graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
+        if graph.connections.contains_key(&connection.id) {
+            log::warn!(
+                "connection {} from {} to {} is not known here: another one has its number",
+                connection.id.0,
+                connection.client,
+                connection.server
+            );
+            continue;
+        }
+        graph.connections.insert(connection.id, connection);
+    }
+}
