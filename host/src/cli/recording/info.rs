@@ -154,25 +154,7 @@ pub(super) fn look(file: &Path, bar: &ProgressBar) -> Result<InfoView, Failure> 
     } else {
         Missing::so_far(&counting.loss)
     };
-    let mut topics = counting.topics;
-    for channel in whole.channels.values() {
-        topics.entry(channel.topic.clone()).or_insert_with(|| TopicView {
-            topic: channel.topic.clone(),
-            schema: channel.schema.name.clone(),
-            ..TopicView::default()
-        });
-    }
-    // Losses of a tap or a pair of images are counted for the output, whose topics lie below it.
-    for name in missing.lost_of.keys().chain(missing.interrupted_of.keys()).chain(&missing.silent) {
-        let topic = || TopicView { topic: name.clone(), ..TopicView::default() };
-        topics.entry(name.clone()).or_insert_with(topic);
-    }
-    for topic in topics.values_mut() {
-        topic.lost = missing.lost_of.get(&topic.topic).copied().unwrap_or(0);
-        topic.interrupted = missing.interrupted_of.get(&topic.topic).copied().unwrap_or(0);
-        let span = topic.last_ns.saturating_sub(topic.first_ns) as f64 * 1e-9;
-        topic.rate_hz = if span > RATE_S { topic.messages.saturating_sub(1) as f64 / span } else { 0.0 };
-    }
+    let mut topics = every_topic(counting.topics, &whole, &missing);
     let came = || topics.values().filter(|t| t.messages > 0);
     let mut first = came().map(|t| t.first_ns).min().unwrap_or(0);
     let mut last = came().map(|t| t.last_ns).max().unwrap_or(0);
@@ -207,6 +189,33 @@ pub(super) fn look(file: &Path, bar: &ProgressBar) -> Result<InfoView, Failure> 
         topics: topics.into_values().collect(),
         metadata: whole.metadata.into_iter().collect(),
     })
+}
+
+/// Completes the topics that brought messages by those that brought none, each with its losses and its rate.
+fn every_topic(
+    mut topics: BTreeMap<String, TopicView>,
+    whole: &Whole,
+    missing: &Missing,
+) -> BTreeMap<String, TopicView> {
+    for channel in whole.channels.values() {
+        topics.entry(channel.topic.clone()).or_insert_with(|| TopicView {
+            topic: channel.topic.clone(),
+            schema: channel.schema.name.clone(),
+            ..TopicView::default()
+        });
+    }
+    // Losses of a tap or a pair of images are counted for the output, whose topics lie below it.
+    for name in missing.lost_of.keys().chain(missing.interrupted_of.keys()).chain(&missing.silent) {
+        let topic = || TopicView { topic: name.clone(), ..TopicView::default() };
+        topics.entry(name.clone()).or_insert_with(topic);
+    }
+    for topic in topics.values_mut() {
+        topic.lost = missing.lost_of.get(&topic.topic).copied().unwrap_or(0);
+        topic.interrupted = missing.interrupted_of.get(&topic.topic).copied().unwrap_or(0);
+        let span = topic.last_ns.saturating_sub(topic.first_ns) as f64 * 1e-9;
+        topic.rate_hz = if span > RATE_S { topic.messages.saturating_sub(1) as f64 / span } else { 0.0 };
+    }
+    topics
 }
 
 /// Counts of topics as the file has them of itself; their rates are not known then.

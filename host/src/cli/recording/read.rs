@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
-use std::io::BufReader;
+use std::io::{self, BufReader};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -91,40 +91,10 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
     let mut reading =
         Reading { whole, schemas: BTreeMap::new(), described: 0, unread: String::new(), begins_at: 0, takes };
     let mut records = Records::new(BufReader::with_capacity(AT_ONCE, file));
-    let mut known = false;
-    loop {
-        let begins_at = records.came();
-        let ended = match records.next() {
-            Ok(None) => break,
-            Ok(Some((opcode, body))) => {
-                known = true;
-                reading.begins_at = begins_at;
-                reading.record(opcode, body)
-            }
-            Err(Broken::CutOff { opcode, body }) => {
-                // A chunk that a recorder was about to write has whole messages before the place
-                // where it was cut.
-                let chunk = opcode == Some(op::CHUNK);
-                let inside = if chunk { reading.chunk(body, true) } else { Ok(()) };
-                inside.and(Err(Ended::Damage(CUT.to_owned())))
-            }
-            Err(Broken::NoMagic) => Err(Ended::Damage("it does not begin as one".to_owned())),
-            Err(Broken::Io(why)) => return Err(refused(&why)),
-        };
-        reading.takes.progress(records.came());
-        match ended {
-            Ok(()) if reading.whole.closed => {
-                reading.whole.closed = records.magic().map_err(|e| refused(&e))?;
-                break;
-            }
-            Ok(()) => {}
-            Err(Ended::Damage(why)) => {
-                reading.whole.wrong = format!("near byte {}: {why}", records.came());
-                break;
-            }
-            Err(Ended::Asked(failure)) => return Err(failure),
-        }
-    }
+    let known = reading.all(&mut records).map_err(|unread| match unread {
+        Unread::Io(why) => refused(&why),
+        Unread::Asked(failure) => failure,
+    })?;
     let Reading { mut whole, unread, .. } = reading;
     if !known {
         let why = if whole.wrong.is_empty() { "it is empty".to_owned() } else { whole.wrong };
@@ -134,25 +104,7 @@ pub(super) fn read(path: &Path, takes: &mut dyn Takes) -> Result<Whole, Failure>
             "name a recording (.mcap)",
         ));
     }
-    if !whole.closed && written {
-        whole.wrong = format!("it is being written: this is what is there of it, {} B", records.came());
-    } else if !whole.closed && whole.wrong.is_empty() {
-        whole.wrong = format!(
-            "the file ends after {} B without its end: its recorder was ended before it could close it",
-            records.came()
-        );
-    }
-    whole.remains = if whole.wrong.is_empty() { "everything else" } else { "everything before that" };
-    let mut all_wrong = Vec::new();
-    if whole.unread_chunks > 0 {
-        all_wrong.push(format!("{} left out: {unread}", units::count(whole.unread_chunks, "chunk")));
-    }
-    if whole.strays > 0 {
-        let strays = units::count(whole.strays, "message");
-        all_wrong.push(format!("{strays} left out: the file does not describe their channels"));
-    }
-    all_wrong.extend(Some(whole.wrong).filter(|wrong| !wrong.is_empty()));
-    whole.wrong = all_wrong.join("; ");
+    whole.say_wrong(written, records.came(), &unread);
     Ok(whole)
 }
 
@@ -161,6 +113,13 @@ const CUT: &str = "the file ends inside of a record: its recorder was ended befo
 /// Why no more is read.
 enum Ended {
     Damage(String),
+    /// Ended by the receiver of the messages.
+    Asked(Failure),
+}
+
+/// Why a file gives nothing.
+enum Unread {
+    Io(io::Error),
     /// Ended by the receiver of the messages.
     Asked(Failure),
 }
@@ -178,6 +137,46 @@ struct Reading<'a> {
 }
 
 impl Reading<'_> {
+    /// Reads the records up to the end of the file, or to the place where it is damaged; false: there is no
+    /// record.
+    fn all(&mut self, records: &mut Records<BufReader<File>>) -> Result<bool, Unread> {
+        let mut known = false;
+        loop {
+            let begins_at = records.came();
+            let ended = match records.next() {
+                Ok(None) => break,
+                Ok(Some((opcode, body))) => {
+                    known = true;
+                    self.begins_at = begins_at;
+                    self.record(opcode, body)
+                }
+                Err(Broken::CutOff { opcode, body }) => {
+                    // A chunk that a recorder was about to write has whole messages before the place
+                    // where it was cut.
+                    let chunk = opcode == Some(op::CHUNK);
+                    let inside = if chunk { self.chunk(body, true) } else { Ok(()) };
+                    inside.and(Err(Ended::Damage(CUT.to_owned())))
+                }
+                Err(Broken::NoMagic) => Err(Ended::Damage("it does not begin as one".to_owned())),
+                Err(Broken::Io(why)) => return Err(Unread::Io(why)),
+            };
+            self.takes.progress(records.came());
+            match ended {
+                Ok(()) if self.whole.closed => {
+                    self.whole.closed = records.magic().map_err(Unread::Io)?;
+                    break;
+                }
+                Ok(()) => {}
+                Err(Ended::Damage(why)) => {
+                    self.whole.wrong = format!("near byte {}: {why}", records.came());
+                    break;
+                }
+                Err(Ended::Asked(failure)) => return Err(Unread::Asked(failure)),
+            }
+        }
+        Ok(known)
+    }
+
     fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), Ended> {
         if opcode == op::CHUNK {
             return self.chunk(body, false);
@@ -268,6 +267,29 @@ impl Reading<'_> {
 }
 
 impl Whole {
+    /// Says all that is wrong with a file of which so many bytes could be read; `written`: a recorder has it
+    /// open. `unread`: why the first chunk that gave nothing did so.
+    fn say_wrong(&mut self, written: bool, bytes: u64, unread: &str) {
+        if !self.closed && written {
+            self.wrong = format!("it is being written: this is what is there of it, {bytes} B");
+        } else if !self.closed && self.wrong.is_empty() {
+            self.wrong = format!(
+                "the file ends after {bytes} B without its end: its recorder was ended before it could close it"
+            );
+        }
+        self.remains = if self.wrong.is_empty() { "everything else" } else { "everything before that" };
+        let mut all_wrong = Vec::new();
+        if self.unread_chunks > 0 {
+            all_wrong.push(format!("{} left out: {unread}", units::count(self.unread_chunks, "chunk")));
+        }
+        if self.strays > 0 {
+            let strays = units::count(self.strays, "message");
+            all_wrong.push(format!("{strays} left out: the file does not describe their channels"));
+        }
+        all_wrong.extend(Some(std::mem::take(&mut self.wrong)).filter(|wrong| !wrong.is_empty()));
+        self.wrong = all_wrong.join("; ");
+    }
+
     /// Returns all that the last metadata record of a name says.
     pub(super) fn all(&self, name: &str) -> impl Iterator<Item = (&str, &str)> {
         let record = self.metadata.iter().rev().find(|(other, _)| other == name);
