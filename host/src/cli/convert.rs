@@ -14,11 +14,11 @@ pub(super) use self::json::{from_struct, from_wire, to_struct, to_wire};
 pub(super) use self::steps::{fate, step, supervisor, wanted};
 
 use super::execution::ExecutionArgs;
+use super::question::Awaited;
 use super::view::{
     ChangeView, ComponentView, ConnectionView, ExecutionView, ItemView, LogView, OptionsView, PluginView,
     ProcessView, ProxyView, RowView, StatsView, SystemView, WaitView,
 };
-use super::wait::Awaited;
 
 pub(super) fn duration(ns: u64) -> prost_types::Duration {
     prost_types::Duration { seconds: (ns / 1_000_000_000) as i64, nanos: (ns % 1_000_000_000) as i32 }

@@ -5,6 +5,7 @@
 use clap::Args;
 
 use super::failure::{Done, Exit};
+use super::question::Row;
 use super::session::Session;
 use super::{out, units};
 
@@ -44,18 +45,6 @@ struct RowArgs {
     /// The row this many rows before the newest; 0 is the newest.
     #[arg(long, value_name = "N", conflicts_with = "count")]
     delayed: Option<u64>,
-}
-
-/// A row of a state table.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Row {
-    /// Ns of the host's monotonic clock.
-    At(u64),
-    /// Ns of the host's monotonic clock.
-    Nearest(u64),
-    Tick(u64),
-    /// Rows before the newest.
-    Delayed(u64),
 }
 
 impl RowArgs {

@@ -8,26 +8,12 @@ use std::collections::BTreeMap;
 use serde_json::json;
 use trocar_model::Refusal;
 
+pub(super) use super::exit::Exit;
 use super::{out, style};
 use crate::system_file::Problem;
 
 /// Result of a subcommand.
 pub(super) type Done = Result<Exit, Failure>;
-
-/// Exit codes of the program, part of its interface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Exit {
-    Ok = 0,
-    Refused = 1,
-    Usage = 2,
-    NoGcm = 3,
-    TimedOut = 4,
-    Partial = 5,
-    /// The host served and stood still, and now another process has its name. 75 is EX_TEMPFAIL
-    /// of sysexits(3).
-    Replaced = 75,
-    Interrupted = 130,
-}
 
 /// Why a subcommand did not succeed.
 #[derive(Clone, Debug, PartialEq)]

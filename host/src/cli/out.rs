@@ -6,7 +6,7 @@ use std::io::{ErrorKind, Write};
 
 use serde_json::Value;
 
-use super::failure::Exit;
+use super::exit::Exit;
 pub(super) use trocar_model::plain::{harmless, json, lines, paragraph};
 
 /// Longest value shown on one line, characters; `--json` shows all of it.

@@ -15,8 +15,9 @@ use trocar_plugin_api::contracts::{self, CONTRACTS, Contract, Violation};
 use trocar_plugin_api::manifest::Manifest;
 
 use super::failure::{Done, Exit, Failure};
+use super::plugin_inspect::{looked_at, refused};
 use super::session::Session;
-use super::{out, plugin, style};
+use super::{out, style};
 
 /// Checks whether a host would load the file, tried in a child process; with --as, a class against the
 /// contract of a standard device interface (docs/INTERFACES.md).
@@ -45,7 +46,7 @@ pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
     let Some(contract) = &args.contract else { return tried(&args.file, session) };
     let contract = contracts::contract(contract)
         .map_err(|why| Failure::usage(why, "see `trocar plugin check --help`"))?;
-    let manifest = plugin::looked_at(&args.file)?.manifest;
+    let manifest = looked_at(&args.file)?.manifest;
     let judged = judge(&manifest, args.class.as_deref(), contract, &args.interface)?;
     let fulfils = judged.iter().any(|j| j.violations.is_empty());
     let exit = if fulfils { Exit::Ok } else { Exit::Refused };
@@ -71,10 +72,10 @@ pub(super) fn run(args: &CheckArgs, session: &Session) -> Done {
 
 /// Tries the file out as a host does before it loads it.
 fn tried(file: &Path, session: &Session) -> Done {
-    let seen = plugin::looked_at(file)?;
+    let seen = looked_at(file)?;
     let exe = std::env::current_exe()
         .map_err(|e| Failure::local("IO", format!("this program cannot be found: {e}"), ""))?;
-    loader::try_file(file, &exe).map_err(|e| plugin::refused(&e))?;
+    loader::try_file(file, &exe).map_err(|e| refused(&e))?;
     let classes: Vec<_> =
         seen.manifest.classes.iter().map(|c| format!("{}/{}", seen.manifest.name, c.name)).collect();
     if session.json() {

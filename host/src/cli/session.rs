@@ -16,12 +16,11 @@ use tonic::Streaming;
 use trocar_proto::v1;
 
 use super::client::{self, Client};
-use super::echo::Row;
 use super::failure::{Done, Exit, Failure};
+use super::question::{For, Row, Waiting};
 use super::view::{
     ChangeView, DescribeView, ItemView, LogView, PluginView, ReplyView, RowView, SystemView, WaitView,
 };
-use super::wait::{For, Waiting};
 use super::{convert, out};
 use crate::runtime_dir::Door;
 

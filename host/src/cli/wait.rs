@@ -4,10 +4,11 @@
 //! Invariant: it always ends by its deadline; with `--call` it listens for the event before it
 //! calls the command.
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::Value;
 
 use super::failure::{Done, Exit, Failure};
+use super::question::{Awaited, For, Waiting};
 use super::session::Session;
 use super::typed::json_value;
 use super::{out, units};
@@ -34,36 +35,6 @@ pub(super) struct WaitArgs {
     /// The argument of --call as JSON.
     #[arg(long, value_name = "JSON", requires = "call", allow_hyphen_values = true)]
     arg: Option<String>,
-}
-
-/// A state to wait for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "SCREAMING_SNAKE_CASE")]
-pub(super) enum Awaited {
-    /// Made, its configuration not complete.
-    Created,
-    /// Configured, not running.
-    Ready,
-    /// Running.
-    Active,
-    /// Standing still, for whatever reason.
-    Stopped,
-    /// Failed.
-    Fault,
-}
-
-/// A question to the GCM.
-pub(super) struct Waiting {
-    pub(super) path: String,
-    pub(super) deadline_ns: u64,
-    pub(super) what: For,
-}
-
-pub(super) enum For {
-    /// None means ACTIVE.
-    States(Vec<Awaited>),
-    /// With the command to call and its argument.
-    Event(Option<(String, Option<Value>)>),
 }
 
 fn deadline(text: &str) -> Result<u64, String> {

@@ -6,11 +6,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::columns::Cell;
-use super::export::incomplete;
 use super::npz::{Item, Npz};
 use super::pictures;
 use super::planes::{Plane, Row};
-use super::sink::{Bounds, ExportView, Message, Sink, new_file, wrote};
+use super::sink::{Bounds, ExportView, Message, Sink, incomplete, new_file, wrote};
 use crate::cli::failure::Failure;
 
 pub(super) struct Arrays {

@@ -13,7 +13,7 @@ use mcap::records::MessageHeader;
 use super::arrays::Arrays;
 use super::columns::Reader;
 use super::read::{Channel, Takes, Whole};
-use super::sink::{Bounds, ExportView, Message, Names, Sink, new_file, wrote};
+use super::sink::{Bounds, ExportView, Message, Names, Sink, incomplete, new_file, wrote};
 use super::tables::Tables;
 use super::types::Types;
 use super::{listed, meant, pictures, select};
@@ -151,16 +151,6 @@ fn show(view: &ExportView, png: bool) {
     if !view.wrong.is_empty() {
         out::complain("warning", &format!("{}; {} was written", view.wrong, view.remains));
     }
-}
-
-/// The failure, and what there is of the export all the same.
-pub(super) fn incomplete(failure: Failure, output: &Path) -> Failure {
-    if !output.exists() {
-        return failure;
-    }
-    let message = format!("{}; {} has what was written before that", failure.message, output.display());
-    let help = format!("{}; remove {} before you export to it again", failure.help, output.display());
-    Failure { message, help, ..failure }
 }
 
 struct Exporting {

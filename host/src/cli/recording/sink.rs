@@ -171,6 +171,16 @@ pub(super) fn wrote(path: &Path, why: &dyn std::fmt::Display) -> Failure {
     )
 }
 
+/// The failure, and what there is of the export all the same.
+pub(super) fn incomplete(failure: Failure, output: &Path) -> Failure {
+    if !output.exists() {
+        return failure;
+    }
+    let message = format!("{}; {} has what was written before that", failure.message, output.display());
+    let help = format!("{}; remove {} before you export to it again", failure.help, output.display());
+    Failure { message, help, ..failure }
+}
+
 pub(super) fn new_file(path: &Path) -> Result<File, Failure> {
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent).map_err(|e| wrote(parent, &e))?;

@@ -8,10 +8,10 @@ pub(super) mod rates;
 
 use std::time::{Duration, Instant};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use tokio::time::MissedTickBehavior;
 
-use self::rates::{Figures, between};
+use self::rates::{Figures, Sort, between};
 use super::failure::{Done, Exit, Failure};
 use super::screen::{self, Key, Screen};
 use super::session::Session;
@@ -33,35 +33,6 @@ pub(super) struct TopArgs {
     /// End after this many intervals.
     #[arg(long, short = 'n', value_name = "N")]
     count: Option<u64>,
-}
-
-/// Sort order of rows: the largest first, paths from a to z.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Sort {
-    /// By path; connections by number.
-    Path,
-    /// Failures first: rows that do not run or are not well.
-    Health,
-    /// Steps or samples per second.
-    Rate,
-    /// Load of components, bytes per second of connections.
-    Load,
-    /// Lateness of components, age of samples.
-    Latency,
-    /// Periods skipped, samples dropped.
-    Drops,
-}
-
-impl Sort {
-    const ALL: [Sort; 6] = [Sort::Path, Sort::Health, Sort::Rate, Sort::Load, Sort::Latency, Sort::Drops];
-
-    fn name(self) -> &'static str {
-        ["path", "health", "rate", "load", "latency", "drops"][self as usize]
-    }
-
-    fn next(self) -> Sort {
-        Sort::ALL[(self as usize + 1) % Sort::ALL.len()]
-    }
 }
 
 fn interval(text: &str) -> Result<u64, String> {
@@ -192,6 +163,8 @@ fn print(shown: &Shown, screen: Option<&mut Screen>, session: &Session) -> Resul
 
 #[cfg(test)]
 mod tests {
+    use clap::ValueEnum;
+
     use super::*;
 
     #[test]

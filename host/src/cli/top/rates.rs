@@ -3,12 +3,42 @@
 //! Invariant: a counter that went back began anew, and counts from zero; a figure that is not known is shown
 //! as "-", never as 0.
 
+use clap::ValueEnum;
 use serde::Serialize;
 
-use super::Sort;
 use crate::cli::table::Table;
 use crate::cli::view::{ComponentView, ConnectionView, SystemView};
 use crate::cli::{style, units};
+
+/// Sort order of rows: the largest first, paths from a to z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum Sort {
+    /// By path; connections by number.
+    Path,
+    /// Failures first: rows that do not run or are not well.
+    Health,
+    /// Steps or samples per second.
+    Rate,
+    /// Load of components, bytes per second of connections.
+    Load,
+    /// Lateness of components, age of samples.
+    Latency,
+    /// Periods skipped, samples dropped.
+    Drops,
+}
+
+impl Sort {
+    pub(super) const ALL: [Sort; 6] =
+        [Sort::Path, Sort::Health, Sort::Rate, Sort::Load, Sort::Latency, Sort::Drops];
+
+    pub(super) fn name(self) -> &'static str {
+        ["path", "health", "rate", "load", "latency", "drops"][self as usize]
+    }
+
+    pub(super) fn next(self) -> Sort {
+        Sort::ALL[(self as usize + 1) % Sort::ALL.len()]
+    }
+}
 
 /// Object that `--json` prints in each interval.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

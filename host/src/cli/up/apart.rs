@@ -10,13 +10,11 @@ use std::time::Duration;
 
 use trocar_model::Name;
 
-use super::{System, under};
+use super::System;
+use super::programs::under;
 use crate::cli::session::Session;
 use crate::gcm::{Apart, Fate, Supervisor, Told};
-use crate::processes::{Phase, Program, Status};
-
-/// Processes kept for isolated components, by name.
-pub(super) type Roster = BTreeMap<String, Program>;
+use crate::processes::{Phase, Status};
 
 /// Pause between two attempts to hear a GCM that does not answer.
 const PAUSE: Duration = Duration::from_millis(100);

@@ -15,7 +15,6 @@ mod standing;
 mod telling;
 mod useless;
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,12 +23,11 @@ use clap::Args;
 use tokio::net::UnixStream;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use trocar_model::{ComponentId, Name};
+use trocar_model::Name;
 
-use self::apart::Roster;
-use self::programs::{GCM, Launch};
+use self::programs::{GCM, Launch, Roster, called, under};
 use self::standing::Standing;
-use self::telling::Voice;
+use self::telling::{Up, Voice};
 use super::failure::{Done, Exit, Failure};
 use super::named::FileArgs;
 use super::session::{self, Session};
@@ -91,39 +89,6 @@ pub(super) struct System {
     /// Tasks that tell the GCM, and listen to it.
     talking: Vec<JoinHandle<()>>,
     is_up: bool,
-}
-
-/// Facts about a system that has come up.
-pub(super) struct Up {
-    /// Address of its GCM.
-    pub(super) addr: String,
-    pub(super) warnings: Vec<String>,
-    standing: SystemView,
-    /// Components that were not started, since their processes crashed while the system came up.
-    waiting: BTreeSet<ComponentId>,
-    /// Directory with the output of its processes.
-    place: PathBuf,
-}
-
-impl Up {
-    /// Returns the components that the file starts and that do not run, each with its state instead.
-    fn idle(&self, file: &SystemFile) -> Vec<(String, String)> {
-        let started: BTreeMap<String, &ComponentId> =
-            file.components.iter().filter(|c| c.start).map(|c| (c.id.to_string(), &c.id)).collect();
-        let idle = self.standing.components.iter().filter_map(|c| {
-            let id = started.get(&c.path).filter(|_| c.state != "ACTIVE" || c.health == "UNRESPONSIVE")?;
-            let mut stands = match (c.state.as_str(), c.fault.as_str()) {
-                ("ACTIVE", _) => "UNRESPONSIVE".to_owned(),
-                (state, "") => state.to_owned(),
-                (state, fault) => format!("{state}: {fault}"),
-            };
-            if self.waiting.contains(*id) {
-                stands.push_str(": its process crashed while it came up, and it can move something");
-            }
-            Some((c.path.clone(), stands))
-        });
-        idle.collect()
-    }
 }
 
 pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
@@ -422,12 +387,6 @@ impl System {
     }
 }
 
-/// Returns a host that attaches to the GCM at this address.
-fn under(mut host: Program, addr: &str) -> Program {
-    host.args.extend(["--gcm".into(), addr.into()]);
-    host
-}
-
 /// Returns the processes of these names that are listed and not there, to be reported as gone. A process that
 /// is there after all is protected by its number.
 fn leftovers(listed: &SystemView, names: &[String]) -> Vec<Told> {
@@ -438,9 +397,4 @@ fn leftovers(listed: &SystemView, names: &[String]) -> Vec<Told> {
         Some(Told { process, fate: Fate::Dismissed, pid, last_exit: String::new(), restarts: 0 })
     });
     told.collect()
-}
-
-/// A process as people call it.
-fn called(name: &str) -> &str {
-    if name == GCM { "the GCM" } else { name }
 }

@@ -2,6 +2,7 @@
 //!
 //! Invariant: every path is absolute, so a child finds what the file means wherever it is started.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -18,6 +19,20 @@ pub(super) const GCM: &str = ":gcm";
 /// Limits of the GCM: no process stands still for want of one, so it is never given up, and is soon back.
 const GCM_LIMITS: Limits =
     Limits { max: u32::MAX, most_backoff: Duration::from_millis(200), ..Limits::DEFAULT };
+
+/// Processes kept for isolated components, by name.
+pub(super) type Roster = BTreeMap<String, Program>;
+
+/// A process as people call it.
+pub(super) fn called(name: &str) -> &str {
+    if name == GCM { "the GCM" } else { name }
+}
+
+/// Returns a host that attaches to the GCM at this address.
+pub(super) fn under(mut host: Program, addr: &str) -> Program {
+    host.args.extend(["--gcm".into(), addr.into()]);
+    host
+}
 
 fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())

@@ -3,22 +3,23 @@
 //! Invariant: a GCM that comes, or comes back, is told everything anew. A person reads each end of a process
 //! once, and a reader that does not read holds up nothing.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::Duration;
 
 use serde_json::json;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use trocar_model::Name;
+use trocar_model::{ComponentId, Name};
 use trocar_rt::house;
 
 use super::super::alike::folded;
 use super::super::units;
 use super::news::News;
-use super::programs::GCM;
-use super::{Up, called};
+use super::programs::{GCM, called};
 use crate::cli::session::Session;
+use crate::cli::view::SystemView;
 use crate::cli::{hosting, out};
 use crate::gcm::{Fate, Told};
 use crate::processes::{Phase, Status};
@@ -69,6 +70,39 @@ pub(super) fn keep_told(addr: &str, mut statuses: watch::Receiver<Statuses>) -> 
             }
         }
     })
+}
+
+/// Facts about a system that has come up.
+pub(in crate::cli) struct Up {
+    /// Address of its GCM.
+    pub(in crate::cli) addr: String,
+    pub(in crate::cli) warnings: Vec<String>,
+    pub(super) standing: SystemView,
+    /// Components that were not started, since their processes crashed while the system came up.
+    pub(super) waiting: BTreeSet<ComponentId>,
+    /// Directory with the output of its processes.
+    pub(super) place: PathBuf,
+}
+
+impl Up {
+    /// Returns the components that the file starts and that do not run, each with its state instead.
+    fn idle(&self, file: &SystemFile) -> Vec<(String, String)> {
+        let started: BTreeMap<String, &ComponentId> =
+            file.components.iter().filter(|c| c.start).map(|c| (c.id.to_string(), &c.id)).collect();
+        let idle = self.standing.components.iter().filter_map(|c| {
+            let id = started.get(&c.path).filter(|_| c.state != "ACTIVE" || c.health == "UNRESPONSIVE")?;
+            let mut stands = match (c.state.as_str(), c.fault.as_str()) {
+                ("ACTIVE", _) => "UNRESPONSIVE".to_owned(),
+                (state, "") => state.to_owned(),
+                (state, fault) => format!("{state}: {fault}"),
+            };
+            if self.waiting.contains(*id) {
+                stands.push_str(": its process crashed while it came up, and it can move something");
+            }
+            Some((c.path.clone(), stands))
+        });
+        idle.collect()
+    }
 }
 
 /// Speech of a system. A thread speaks that may wait for a reader for ever, since nobody has to read.
