@@ -20,7 +20,7 @@ use trocar_rt::house;
 
 use super::caller::own_user;
 use super::incoming::Incoming;
-use super::serve::{GRACE, transport};
+use super::transport::{GRACE, transport};
 use crate::runtime_dir::{Door, Place, RuntimeDir};
 
 /// The sockets of one port; removed when they are dropped.

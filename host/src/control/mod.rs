@@ -10,20 +10,21 @@ mod deadline;
 mod dial;
 mod doors;
 mod incoming;
+mod kind;
 mod occupant;
 mod serve;
 mod server;
 mod services;
 mod status;
+mod transport;
 mod uplink;
 mod web;
 
 #[cfg(test)]
 mod tests;
 
-pub use caller::Tokened;
+pub use caller::{PortRules, Tokened, Viewer};
 pub use dial::dial;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
 pub use uplink::{Begin, Uplink, UplinkError};
-pub use web::{PortRules, Viewer};

@@ -7,7 +7,6 @@ use std::fmt;
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
@@ -23,20 +22,16 @@ use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use super::attach::{AttachEdge, MAX_MESSAGE};
-use super::caller::{Access, READERS, own_user};
+use super::caller::{Access, PortRules, READERS, own_user};
 use super::doors::Doors;
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
 use super::server::{Edge, FOLLOWED, Standing};
-use super::web::{self, PortRules};
+use super::transport::{GRACE, transport};
+use super::web;
 use crate::gcm::{Gcm, Lines};
 use crate::lcm::{Lcm, News};
 use crate::runtime_dir::RuntimeDir;
-
-/// Streams one connection may have open at once.
-const MAX_STREAMS: u32 = 256;
-/// Time open calls get at shutdown.
-pub(super) const GRACE: Duration = Duration::from_secs(1);
 
 /// Services and settings of a port.
 pub struct ServeConfig {
@@ -252,16 +247,6 @@ fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>
         })
     });
     (lines, keeper)
-}
-
-/// The protocol's settings for each connection.
-pub(super) fn transport() -> tonic::transport::Server {
-    tonic::transport::Server::builder()
-        // Browsers speak it; `web` keeps foreign ones out.
-        .accept_http1(true)
-        .max_concurrent_streams(MAX_STREAMS)
-        .http2_keepalive_interval(Some(Duration::from_secs(20)))
-        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
 }
 
 async fn routes(

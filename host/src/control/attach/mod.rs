@@ -17,7 +17,7 @@ use trocar_proto::v1;
 use trocar_proto::v1::attach_service_server::AttachService;
 use trocar_proto::v1::{attach_request, attach_response};
 
-use self::remote::RemoteLcm;
+use self::remote::{Outgoing, RemoteLcm, message};
 use super::convert;
 use super::status::status;
 use crate::gcm::{Gcm, Registered, Registration, Told};
@@ -35,8 +35,6 @@ pub(super) const MAX_MESSAGE: usize = 32 << 20;
 const HELLO: Duration = Duration::from_secs(2);
 /// Messages that may wait to be sent.
 const QUEUE: usize = 256;
-
-type Outgoing = mpsc::Sender<Result<v1::AttachResponse, Status>>;
 
 pub(super) struct AttachEdge {
     gcm: Gcm,
@@ -135,10 +133,6 @@ impl AttachService for AttachEdge {
         }
         Ok(Response::new(v1::TellResponse { term: self.gcm.term() }))
     }
-}
-
-fn message(message: attach_response::Message) -> v1::AttachResponse {
-    v1::AttachResponse { message: Some(message) }
 }
 
 /// A process that was taken in.

@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
+use tonic::Status;
 use trocar_model::{Change, ComponentId, Name, Phase, Refusal, StepTimes, Warnings};
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
-use super::{Outgoing, message};
 use crate::control::convert;
 use crate::lcm::{
     Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
@@ -30,6 +30,9 @@ const WAY: Duration = Duration::from_millis(20);
 const ITEMS: usize = 256;
 /// News that may wait for the GCM.
 const NEWS: usize = 1024;
+
+/// The way to an attached process.
+pub(super) type Outgoing = mpsc::Sender<Result<v1::AttachResponse, Status>>;
 
 pub(super) struct RemoteLcm {
     process: Name,
@@ -179,6 +182,10 @@ impl RemoteLcm {
     async fn question(&self, order: O, what: &str) -> Result<A, Refusal> {
         self.ask(order, Instant::now() + WITHIN, what).await
     }
+}
+
+pub(super) fn message(message: attach_response::Message) -> v1::AttachResponse {
+    v1::AttachResponse { message: Some(message) }
 }
 
 fn lock(link: &Mutex<Option<Link>>) -> MutexGuard<'_, Option<Link>> {

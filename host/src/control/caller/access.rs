@@ -18,9 +18,9 @@ use trocar_links::Seldom;
 use trocar_model::Refusal;
 use trocar_rt::os::now_ns;
 
-use super::Peer;
+use super::{Peer, PortRules, Viewer};
+use crate::control::kind::is_native;
 use crate::control::status::status;
-use crate::control::web::{PortRules, Viewer, is_native};
 use crate::runtime_dir::RuntimeDir;
 
 /// Methods that change nothing. `Invoke` and `WaitFor` look at the command that is called: see [`OnlyReads`].
@@ -168,8 +168,9 @@ pub(in crate::control) async fn only_reads(
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use std::collections::BTreeSet;
     use std::convert::Infallible;
     use std::sync::mpsc;

@@ -6,6 +6,7 @@
 mod access;
 mod bearer;
 mod owner;
+mod rules;
 
 use std::fmt;
 use std::io;
@@ -17,6 +18,7 @@ use tokio::net::{TcpStream, UnixStream};
 pub(super) use self::access::{Access, OnlyReads, READERS, known, only_reads};
 pub use self::bearer::Tokened;
 pub(super) use self::bearer::with_token;
+pub use self::rules::{PortRules, Viewer};
 
 /// The peer of a connection. Every request on the connection carries one.
 #[derive(Clone, Debug)]

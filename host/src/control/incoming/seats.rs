@@ -151,8 +151,9 @@ fn is_last_of(most: u64, file: u64) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use std::task::Waker;
 
     use super::*;

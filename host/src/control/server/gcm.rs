@@ -11,16 +11,15 @@ use trocar_model::{
 use trocar_proto::v1;
 use trocar_proto::v1::gcm_service_server::GcmService;
 
+use super::identity::identity;
 use super::list::{Listed, listed};
 use super::page::Pages;
 use super::part::{narrow, split};
 use super::wait::{Awaited, Wait};
 use super::watch::{WatchStream, watch};
-use super::{Caller, Edge, not_built, past, refuse};
-use crate::control::caller::Peer;
+use super::{Edge, not_built, past, refuse};
 use crate::control::convert::{self, Common, Figures};
 use crate::control::deadline::{deadline, room};
-use crate::control::services::FOR_COMPONENT;
 use crate::gcm::{ExecuteOptions, Executed, plan_lines};
 use crate::lcm::{PluginInfo, Report};
 use crate::system_file::Difference;
@@ -50,20 +49,6 @@ macro_rules! mutate {
             done,
         )
     }};
-}
-
-/// Returns the caller: a component of this process, a user at an address, or a host for one of its
-/// components.
-pub(super) fn identity<T>(request: &Request<T>) -> String {
-    if let Some(Caller(path)) = request.extensions().get() {
-        return path.clone();
-    }
-    let from = request.extensions().get::<Peer>().map_or_else(|| "local".into(), Peer::to_string);
-    let named = request.metadata().get(FOR_COMPONENT).and_then(|v| ComponentId::parse(v.to_str().ok()?).ok());
-    match named {
-        Some(component) => format!("{component} through {from}"),
-        None => from,
-    }
 }
 
 pub(super) fn skipped(done: &Executed) -> Vec<v1::SkippedComponent> {

@@ -10,7 +10,7 @@ use trocar_model::{ComponentId, Name, PortId, Refusal};
 use trocar_proto::v1;
 use trocar_proto::v1::guest_service_server::GuestService;
 
-use super::gcm::identity;
+use super::identity::identity;
 use super::{Edge, refuse};
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};

@@ -2,6 +2,7 @@
 
 mod gcm;
 mod guest;
+mod identity;
 mod interact;
 mod list;
 mod logs;

@@ -10,7 +10,7 @@ use tonic::{Request, Status};
 use trocar_model::{ComponentId, Name, Refusal, Target};
 use trocar_proto::v1;
 
-use super::gcm::identity;
+use super::identity::identity;
 use super::refuse;
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};

@@ -5,7 +5,7 @@ use trocar_model::{Name, Refusal};
 use trocar_proto::v1;
 use trocar_proto::v1::plugin_service_server::PluginService;
 
-use super::gcm::identity;
+use super::identity::identity;
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};

@@ -10,7 +10,8 @@ use tonic::{Request, Status};
 use trocar_model::{Name, Refusal};
 use trocar_proto::v1;
 
-use super::gcm::{identity, options, skipped, told, warnings};
+use super::gcm::{options, skipped, told, warnings};
+use super::identity::identity;
 use super::{Edge, refuse};
 use crate::control::convert::Common;
 use crate::control::deadline::deadline;

@@ -11,16 +11,17 @@ mod tests;
 
 use std::error::Error;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, oneshot};
 use tokio::task::JoinHandle;
-use trocar_model::{Refusal, SystemGraph};
+use trocar_model::Refusal;
 use trocar_proto::v1;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
-use self::session::Session;
+use self::orders::Told;
+use self::session::{Refused, Session};
 use super::attach::MAX_MESSAGE;
 use super::caller::Tokened;
 use super::dial::dial;
@@ -121,9 +122,6 @@ impl Uplink {
     }
 }
 
-/// Everything this process was ordered to have, as far as the orders are carried out.
-type Told = Arc<Mutex<SystemGraph>>;
-
 struct Tie {
     addr: String,
     registration: Registration,
@@ -218,14 +216,6 @@ impl Tie {
 
 fn longer(pause: Duration) -> Duration {
     (pause * 2).min(PAUSE.1)
-}
-
-/// Why an attempt ended.
-enum Refused {
-    /// A GCM was asked, and refused.
-    ByGcm(Refusal),
-    /// No GCM was asked, or the answer is not a GCM's.
-    Unheard(String),
 }
 
 /// The innermost cause: the outer ones say "transport error".

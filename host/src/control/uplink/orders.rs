@@ -4,23 +4,25 @@
 //! with a refusal.
 
 use std::collections::HashMap;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, mpsc};
 use tokio::task::{AbortHandle, JoinSet};
-use trocar_model::{Change, ComponentId, MemberId, Plan, Refusal};
+use trocar_model::{Change, ComponentId, MemberId, Plan, Refusal, SystemGraph};
 use trocar_proto::v1;
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 
-use super::Told;
 use crate::control::convert;
 use crate::gcm::observe;
 use crate::lcm::{Invoke, Lcm, Selection};
 
 /// Longest time an order may take.
 const MOST: Duration = Duration::from_secs(60);
+
+/// Everything this process was ordered to have, as far as the orders are carried out.
+pub(super) type Told = Arc<Mutex<SystemGraph>>;
 
 pub(super) struct Orders {
     lcm: Arc<dyn Lcm>,

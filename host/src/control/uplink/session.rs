@@ -11,12 +11,11 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
-use trocar_model::Warnings;
+use trocar_model::{Refusal, Warnings};
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
-use super::orders::Orders;
-use super::{Refused, Told};
+use super::orders::{Orders, Told};
 use crate::control::attach::{BEAT, LEASE};
 use crate::control::caller::Tokened;
 use crate::control::convert;
@@ -27,6 +26,14 @@ use crate::lcm::{Lcm, News};
 const QUEUE: usize = 256;
 
 type Outgoing = mpsc::Sender<v1::AttachRequest>;
+
+/// Why there is no session.
+pub(super) enum Refused {
+    /// A GCM was asked, and refused.
+    ByGcm(Refusal),
+    /// No GCM was asked, or the answer is not a GCM's.
+    Unheard(String),
+}
 
 pub(super) struct Session {
     inbound: Streaming<v1::AttachResponse>,

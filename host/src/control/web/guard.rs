@@ -8,11 +8,13 @@ use std::net::IpAddr;
 
 use axum::body::Body;
 use axum::extract::Request;
-use axum::http::header::{CONTENT_TYPE, HOST, ORIGIN};
+use axum::http::header::{HOST, ORIGIN};
 use axum::http::{HeaderMap, Method, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tonic::Status;
+
+use crate::control::kind::{is_grpc, is_program, text};
 
 /// Judges each request before the port serves it.
 pub(super) async fn guard(request: Request, next: Next) -> Response {
@@ -20,27 +22,6 @@ pub(super) async fn guard(request: Request, next: Next) -> Response {
         Ok(()) => next.run(request).await,
         Err(why) => refuse(&request, &why),
     }
-}
-
-/// True for a program that speaks gRPC, without any sign of a browser.
-fn is_program(version: Version, headers: &HeaderMap) -> bool {
-    version == Version::HTTP_2 && !headers.contains_key(ORIGIN) && !headers.contains_key("sec-fetch-site")
-}
-
-/// True for gRPC as programs speak it; gRPC-Web is for pages, also when a program speaks it.
-pub(in crate::control) fn is_native(request: &Request) -> bool {
-    let kind = request.headers().get(CONTENT_TYPE).map_or(&b""[..], |kind| kind.as_bytes());
-    is_program(request.version(), request.headers()) && !kind.starts_with(b"application/grpc-web")
-}
-
-/// True for gRPC in any of its forms.
-pub(in crate::control) fn is_grpc(headers: &HeaderMap) -> bool {
-    text(headers, CONTENT_TYPE.as_str()).is_some_and(|t| t.starts_with("application/grpc"))
-}
-
-fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
-    // A header that is no text is judged as one that names nobody.
-    headers.get(name).map(|value| value.to_str().unwrap_or_default())
 }
 
 /// HTTP/2 carries it in the address, HTTP/1 in a header.
@@ -126,8 +107,9 @@ fn refuse(request: &Request, why: &str) -> Response {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use super::*;
 
     fn asked(version: Version, host: &str, headers: &[(&str, &str)]) -> Result<(), String> {

@@ -18,26 +18,8 @@ use tonic::Status;
 use tonic::service::Routes;
 use tonic_web::GrpcWebLayer;
 
-pub(super) use self::guard::is_native;
 use super::caller::{Access, known, only_reads};
-
-/// Rights of callers at a port, beyond everybody's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PortRules {
-    pub viewer: Viewer,
-    /// Every caller that reaches the port may do everything, other users of the machine, too.
-    pub open_loopback: bool,
-}
-
-/// Rights of the viewer's page on a port.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Viewer {
-    /// Everything that any caller of the port may do.
-    #[default]
-    Full,
-    /// Look only: requests through a browser change nothing. Programs that speak gRPC are not affected.
-    ReadOnly,
-}
+use super::kind::is_grpc;
 
 /// Joins the services and the page, behind the guard of their rights.
 pub(super) fn with_page(services: Routes, access: Access) -> Routes {
@@ -59,7 +41,7 @@ pub(super) fn with_page(services: Routes, access: Access) -> Routes {
 
 /// gRPC keeps its own answer to unknown paths; other callers are told what exists.
 async fn nothing_there(request: Request<Body>) -> Response {
-    if guard::is_grpc(request.headers()) {
+    if is_grpc(request.headers()) {
         return Status::unimplemented("").into_http::<Body>();
     }
     let said = format!(
