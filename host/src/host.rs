@@ -3,6 +3,7 @@
 //! Invariant: what starts last stops first, except that devices are made safe before anything else ends.
 
 pub(crate) mod announce;
+mod builder;
 mod client;
 mod config;
 mod ending;
@@ -15,7 +16,8 @@ mod sources;
 mod state_dir;
 mod threads;
 
-pub use config::{HostBuilder, HostConfig};
+pub use builder::HostBuilder;
+pub use config::HostConfig;
 pub use error::HostError;
 pub use memory::MemoryBounds;
 pub use process::Host;

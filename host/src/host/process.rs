@@ -1,6 +1,7 @@
 //! `Host`: one process of a system, from its state directory up to its gRPC port.
 //!
-//! Invariant: start makes everything or nothing: each part is given to the thread that ends it before
+//! Invariant: [`HostConfig::start`] is the only way to a host with components, for the command line and for
+//! programs alike. Start makes everything or nothing: each part is given to the thread that ends it before
 //! the next one is made. The end makes devices safe before it closes the port, so that a caller can
 //! see it happen.
 
@@ -43,15 +44,20 @@ pub struct Host {
     ending: Ending,
 }
 
-impl Host {
-    /// Starts what the configuration says; [`HostConfig::start`] is the way in.
-    pub(super) async fn from_config(config: HostConfig) -> Result<Self, HostError> {
+impl HostConfig {
+    /// Starts a process with an LCM, and a GCM of its own unless it attaches to another.
+    ///
+    /// # Errors
+    /// Everything that can be wrong with its directories, its port, its linked plugins and its name.
+    pub async fn start(self) -> Result<Host, HostError> {
         needs_runtime()?;
-        let mut host = Self::in_directory(&config.state, config.fresh)?;
-        let done = host.bring_up(&config).await;
+        let mut host = Host::in_directory(&self.state, self.fresh)?;
+        let done = host.bring_up(&self).await;
         host.if_up(done).await
     }
+}
 
+impl Host {
     /// Starts a GCM without components: `trocar gcm`.
     ///
     /// # Errors

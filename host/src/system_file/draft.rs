@@ -3,13 +3,12 @@
 //! Invariant: a draft is only judged. A [`SystemFile`], which is carried out, is a draft without a problem.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 
 use trocar_model::{ComponentId, Name};
 
-use super::cursor::{Document, MOST};
+use super::cursor::MOST;
 use super::problem::{Problem, join};
-use super::{BadSet, SystemFile, read};
+use super::{BadSet, SystemFile};
 
 /// A system file that may be wrong.
 #[derive(Clone, Debug)]
@@ -36,20 +35,6 @@ pub(super) struct Doubts {
 }
 
 impl Draft {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// It cannot be read at all: no file, not UTF-8, not JSON, another version.
-    pub fn read(path: &Path) -> Result<Draft, Vec<Problem>> {
-        let text = super::text_of(path).map_err(|problem| vec![problem])?;
-        Draft::of(&path.display().to_string(), text)
-    }
-
-    /// Reads a text; `file` is its name in problems.
-    pub(super) fn of(file: &str, text: String) -> Result<Draft, Vec<Problem>> {
-        read::draft(Document::parse(file, text).map_err(|problem| vec![problem])?)
-    }
-
     /// The file, where nothing is wrong with it.
     pub(super) fn finished(self) -> Result<SystemFile, Vec<Problem>> {
         if self.problems.is_empty() { Ok(self.file) } else { Err(self.problems) }

@@ -5,7 +5,7 @@
 //! meant are doubted.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use trocar_model::{
@@ -75,16 +75,27 @@ pub(super) const ISOLATIONS: &[(&str, bool)] = &[("none", false), ("process", tr
 const PATH_HELP: &str = "write process/component, e.g. \"host/robot\"";
 const PORT_HELP: &str = "write process/component/port, e.g. \"host/robot/arm\"";
 
-/// The file as far as it can be read, and all that is wrong with it; problems alone where nothing can be made
-/// of it.
-pub(super) fn draft(document: Document) -> Result<Draft, Vec<Problem>> {
-    let (found, mut doubts) = (Found::default(), Doubts::default());
-    match parts(&document, &found, &mut doubts) {
-        Some((processes, components, connections)) => {
-            let file = SystemFile { processes, components, connections, document, is_changed: false };
-            Ok(Draft { file, problems: found.all(), doubts })
+impl Draft {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// It cannot be read at all: no file, not UTF-8, not JSON, another version.
+    pub fn read(path: &Path) -> Result<Draft, Vec<Problem>> {
+        let text = super::text_of(path).map_err(|problem| vec![problem])?;
+        Draft::of(&path.display().to_string(), text)
+    }
+
+    /// Reads a text; `file` is its name in problems.
+    pub(super) fn of(file: &str, text: String) -> Result<Draft, Vec<Problem>> {
+        let document = Document::parse(file, text).map_err(|problem| vec![problem])?;
+        let (found, mut doubts) = (Found::default(), Doubts::default());
+        match parts(&document, &found, &mut doubts) {
+            Some((processes, components, connections)) => {
+                let file = SystemFile { processes, components, connections, document, is_changed: false };
+                Ok(Draft { file, problems: found.all(), doubts })
+            }
+            None => Err(found.all()),
         }
-        None => Err(found.all()),
     }
 }
 
