@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tokio::sync::{mpsc, watch};
 
+use super::Exit;
 use super::child::{Child, Program, Said};
 use super::policy::{History, How, Verdict};
-use super::{Exit, supervisor::Board};
+use super::status::{Board, Phase, Status};
 
 /// Time for a child to end after it was asked to.
 const PATIENCE: Duration = Duration::from_secs(12);
@@ -21,49 +22,6 @@ const USELESS: Duration = Duration::from_secs(3);
 const OUTPUT: u64 = 8 << 20;
 /// Time between two looks at that size.
 const LOOK: Duration = Duration::from_secs(1);
-
-/// Phase in the life of a supervised process.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Phase {
-    /// Spawned, for the first time or again; it does not serve yet.
-    #[default]
-    Starting,
-    /// The process serves, and is attached to its GCM if it has one.
-    Running,
-    /// The process failed and will be spawned again.
-    Restarting,
-    /// The process failed too often.
-    Failed,
-    /// The process ended and nobody wants it back.
-    Ended,
-}
-
-/// Status of a supervised process.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Status {
-    pub phase: Phase,
-    /// Process id of the incarnation that runs, or ended last; 0 = none yet.
-    pub pid: u32,
-    /// Address where the process serves, or did.
-    pub address: Option<String>,
-    /// Number of times the process was spawned again.
-    pub restarts: u32,
-    pub last_exit: Option<Exit>,
-    /// The reason why it did not start, in its own words.
-    pub refused: Option<Value>,
-}
-
-impl Status {
-    /// Returns how the process ended last, in words, with its own reason; "" when it never did.
-    pub fn exit_text(&self) -> String {
-        let said = self.refused.as_ref().and_then(|r| r["message"].as_str());
-        match (&self.last_exit, said) {
-            (None, _) => String::new(),
-            (Some(exit), None) => exit.to_string(),
-            (Some(exit), Some(said)) => format!("{exit}: {said}"),
-        }
-    }
-}
 
 /// Orders to a keeper.
 pub(super) struct Orders {
@@ -77,57 +35,102 @@ pub(super) struct Orders {
 
 /// Keeps a process until it is asked to end. Returns how it ended, if it ran when it was asked to.
 pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Option<Exit> {
-    let Orders { mut down, mut put_down, mut again } = orders;
-    let mut history = History::new(program.policy);
-    let mut listen = program.listen.clone();
-    let set = |change: &dyn Fn(&mut Status)| board.change(&program.name, change);
-    let mut restarts = 0;
+    let (history, listen) = (History::new(program.policy), program.listen.clone());
+    let mut keeper = Keeper { program, board, orders, history, listen, restarts: 0 };
     loop {
-        let mut refused = None;
-        let (exit, farewell) = match Child::spawn(&program, &listen) {
-            Err(e) => {
-                set(&|s| s.restarts = restarts);
-                (Exit::NotStarted(e.to_string()), false)
+        match keeper.run().await {
+            Ran::Down(exit) => return Some(exit),
+            Ran::Anew => {}
+            Ran::Ended(exit, how, refused) => {
+                let verdict = keeper.judge(&exit, how, &refused);
+                if !keeper.waits(verdict).await {
+                    return None;
+                }
             }
-            Ok(mut child) => {
-                let pid = child.pid;
-                // In one step: nobody may take the end of the previous incarnation for an end of this one.
-                set(&|s| (s.phase, s.pid, s.restarts) = (Phase::Starting, pid, restarts));
-                let exit = tokio::select! {
-                    exit = live(&mut child, &program, &board, &mut listen, &mut refused) => exit,
-                    why = useless(&mut put_down, pid) => child.end(USELESS, Some(why)).await,
-                    () = anew(&mut again) => {
-                        let exit = child.end(PATIENCE, None).await;
-                        set(&|s| (s.phase, s.last_exit) = (Phase::Restarting, Some(exit.clone())));
-                        history = History::new(program.policy);
-                        restarts += 1;
-                        continue;
-                    }
-                    () = asked(&mut down) => {
-                        let exit = child.end(PATIENCE, None).await;
-                        set(&|s| (s.phase, s.last_exit) = (Phase::Ended, Some(exit.clone())));
-                        return Some(exit);
-                    }
-                };
-                (exit, child.said_farewell())
+        }
+        keeper.restarts += 1;
+    }
+}
+
+/// End of one incarnation.
+enum Ran {
+    /// The process ended by itself or was of no use, or could not be started; the reason is in its own words.
+    Ended(Exit, How, Option<Value>),
+    /// The process was ended to be started again.
+    Anew,
+    /// The process was asked to end.
+    Down(Exit),
+}
+
+struct Keeper {
+    program: Program,
+    board: Board,
+    orders: Orders,
+    history: History,
+    /// Address to listen on: of a process that stays, the one it had first.
+    listen: String,
+    restarts: u32,
+}
+
+impl Keeper {
+    fn set(&self, change: &dyn Fn(&mut Status)) {
+        self.board.change(&self.program.name, change);
+    }
+
+    /// Spawns the process and follows it to its end.
+    async fn run(&mut self) -> Ran {
+        let restarts = self.restarts;
+        let mut child = match Child::spawn(&self.program, &self.listen) {
+            Ok(child) => child,
+            Err(e) => {
+                self.set(&|s| s.restarts = restarts);
+                return Ran::Ended(Exit::NotStarted(e.to_string()), How::Failed, None);
+            }
+        };
+        let (pid, mut refused) = (child.pid, None);
+        // In one step: nobody may take the end of the previous incarnation for an end of this one.
+        self.set(&|s| (s.phase, s.pid, s.restarts) = (Phase::Starting, pid, restarts));
+        let exit = tokio::select! {
+            exit = live(&mut child, &self.program, &self.board, &mut self.listen, &mut refused) => exit,
+            why = useless(&mut self.orders.put_down, pid) => child.end(USELESS, Some(why)).await,
+            () = anew(&mut self.orders.again) => {
+                let exit = child.end(PATIENCE, None).await;
+                self.set(&|s| (s.phase, s.last_exit) = (Phase::Restarting, Some(exit.clone())));
+                self.history = History::new(self.program.policy);
+                return Ran::Anew;
+            }
+            () = asked(&mut self.orders.down) => {
+                let exit = child.end(PATIENCE, None).await;
+                self.set(&|s| (s.phase, s.last_exit) = (Phase::Ended, Some(exit.clone())));
+                return Ran::Down(exit);
             }
         };
         let how = match (&exit, &refused) {
-            (Exit::Code(0), _) if farewell => How::AsAsked,
+            (Exit::Code(0), _) if child.said_farewell() => How::AsAsked,
             (_, Some(_)) => How::Refused,
             _ => How::Failed,
         };
-        let verdict = history.ended(how, Instant::now());
+        Ran::Ended(exit, how, refused)
+    }
+
+    /// Decides what follows an end, and shows it.
+    fn judge(&mut self, exit: &Exit, how: How, refused: &Option<Value>) -> Verdict {
+        let verdict = self.history.ended(how, Instant::now());
         let phase = match verdict {
             Verdict::Restart { .. } => Phase::Restarting,
             Verdict::GiveUp => Phase::Failed,
             Verdict::Leave => Phase::Ended,
         };
-        set(&|s| {
+        self.set(&|s| {
             s.phase = phase;
             s.last_exit = Some(exit.clone());
-            s.refused.clone_from(&refused);
+            s.refused.clone_from(refused);
         });
+        verdict
+    }
+
+    /// Waits until the process is to be started again; false: it is to end instead.
+    async fn waits(&mut self, verdict: Verdict) -> bool {
         let pause = async {
             match verdict {
                 Verdict::Restart { after } => tokio::time::sleep(after).await,
@@ -135,16 +138,16 @@ pub(super) async fn keep(program: Program, board: Board, orders: Orders) -> Opti
                 Verdict::GiveUp | Verdict::Leave => std::future::pending().await,
             }
         };
-        restarts += 1;
         tokio::select! {
-            () = pause => {}
-            () = anew(&mut again) => {
-                set(&|s| s.phase = Phase::Restarting);
-                history = History::new(program.policy);
+            () = pause => true,
+            () = anew(&mut self.orders.again) => {
+                self.set(&|s| s.phase = Phase::Restarting);
+                self.history = History::new(self.program.policy);
+                true
             }
-            () = asked(&mut down) => {
-                set(&|s| s.phase = Phase::Ended);
-                return None;
+            () = asked(&mut self.orders.down) => {
+                self.set(&|s| s.phase = Phase::Ended);
+                false
             }
         }
     }

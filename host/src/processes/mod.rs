@@ -11,11 +11,13 @@ mod exit;
 mod keeper;
 mod offspring;
 mod policy;
+mod status;
 mod supervisor;
 
 pub use child::Program;
 pub use door::{Answer, Door};
 pub use exit::Exit;
-pub use keeper::{Phase, Status, keep_short};
+pub use keeper::keep_short;
 pub use policy::{Limits, Policy, Unheard};
+pub use status::{Phase, Status};
 pub use supervisor::Supervisor;

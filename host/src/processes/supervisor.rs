@@ -6,32 +6,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use super::keeper::{Orders, Status, keep};
+use super::keeper::{Orders, keep};
+use super::status::{Board, Status};
 use super::{Exit, Program};
-
-/// Status of every process, by name.
-#[derive(Clone)]
-pub(super) struct Board {
-    all: watch::Sender<BTreeMap<String, Status>>,
-}
-
-impl Board {
-    fn begin(&self, name: &str) {
-        self.all.send_modify(|all| _ = all.insert(name.to_owned(), Status::default()));
-    }
-
-    /// A forgotten process has no status any more.
-    pub(super) fn change(&self, name: &str, change: &dyn Fn(&mut Status)) {
-        self.all.send_if_modified(|all| all.get_mut(name).map(change).is_some());
-    }
-
-    fn forget(&self, name: &str) {
-        self.all.send_modify(|all| _ = all.remove(name));
-    }
-}
 
 /// Keeps processes; dropped, it lets go of those it still keeps, which then end by themselves, devices safe
 /// first.
+#[derive(Default)]
 pub struct Supervisor {
     board: Board,
     kept: Mutex<BTreeMap<String, Kept>>,
@@ -42,12 +23,6 @@ struct Kept {
     put_down: mpsc::UnboundedSender<(u32, String)>,
     again: mpsc::UnboundedSender<()>,
     task: JoinHandle<Option<Exit>>,
-}
-
-impl Default for Supervisor {
-    fn default() -> Self {
-        Supervisor { board: Board { all: watch::Sender::new(BTreeMap::new()) }, kept: Mutex::default() }
-    }
 }
 
 impl Supervisor {
@@ -70,7 +45,7 @@ impl Supervisor {
     /// Returns the status of all processes, now and whenever something changes; a slow reader sees the
     /// newest.
     pub fn statuses(&self) -> watch::Receiver<BTreeMap<String, Status>> {
-        self.board.all.subscribe()
+        self.board.follow()
     }
 
     /// Reports that the incarnation with this number is of no use, and why: it is asked to end, soon killed,
