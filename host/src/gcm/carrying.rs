@@ -31,13 +31,14 @@ impl<'a> Carrying<'a> {
         carrying
     }
 
-    /// Carries out this plan, too, which touches nothing that another request has; false: it does.
-    pub(super) fn widens(&self, plan: &Plan, is_whole: bool) -> bool {
-        let is_free = self.claim.widen(plan, is_whole);
-        if is_free {
-            self.goes_on(plan);
-        }
-        is_free
+    /// Carries out this plan, too.
+    ///
+    /// # Errors
+    /// PartTaken: it touches what another request has.
+    pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> Result<(), Refusal> {
+        self.claim.widen(plan, is_whole)?;
+        self.goes_on(plan);
+        Ok(())
     }
 
     fn goes_on(&self, plan: &Plan) {

@@ -251,18 +251,23 @@ impl Claim<'_> {
         }
     }
 
-    /// Takes what `plan` touches besides, which was not known before; false: another request has some of it.
-    pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> bool {
+    /// Takes what `plan` touches besides, which was not known before.
+    ///
+    /// # Errors
+    /// PartTaken: another request has some of it.
+    pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> Result<(), Refusal> {
         let mut list = lock(&self.claims.list);
         let own = list.entries.iter().position(|e| e.number == self.number);
-        let Some(own) = own else { return false };
+        let Some(own) = own else {
+            return Err(Refusal::Internal { text: "a request under way has no part of the system".into() });
+        };
         let part = list.entries[own].part.clone().planned(plan, is_whole);
-        let is_free =
-            list.entries.iter().all(|e| e.number == self.number || !e.under_way || !e.part.meets(&part));
-        if is_free {
-            list.entries[own].part = part;
+        let mut others = list.entries.iter().filter(|e| e.number != self.number && e.under_way);
+        if let Some(other) = others.find(|e| e.part.meets(&part)) {
+            return Err(Refusal::PartTaken { doing: other.doing.clone() });
         }
-        is_free
+        list.entries[own].part = part;
+        Ok(())
     }
 
     /// Plans and takes the part, when no other request has any of it or came earlier; else returns what it

@@ -52,7 +52,7 @@ impl Gcm {
     /// Plans and does what had to wait for ports; `done` has what was done before.
     ///
     /// # Errors
-    /// Every refusal of the plan or a component; then all parts are undone.
+    /// Every refusal of the plan or a component, and PartTaken; then all parts are undone.
     pub(super) async fn other_parts(
         &self,
         requests: &[Request],
@@ -62,17 +62,14 @@ impl Gcm {
     ) -> Result<(), Refusal> {
         let mut waiting = requests;
         while !waiting.is_empty() {
-            let made = match first_part(&self.graph(), waiting) {
-                Ok((plan, first)) if !carrying.widens(&plan, first == waiting.len()) => {
-                    Err(Refusal::Busy { doing: "another request".into() })
-                }
-                Ok((plan, first)) => {
-                    let mut more = Executed { plan, ..Executed::default() };
-                    carrying.all_or_nothing(&mut more, deadline).await.map(|()| (more, first))
-                }
-                Err(refusal) => Err(refusal),
+            let made = async {
+                let (plan, first) = first_part(&self.graph(), waiting)?;
+                carrying.widen(&plan, first == waiting.len())?;
+                let mut more = Executed { plan, ..Executed::default() };
+                carrying.all_or_nothing(&mut more, deadline).await?;
+                Ok((more, first))
             };
-            let (more, first) = match made {
+            let (more, first) = match made.await {
                 Ok(made) => made,
                 Err(refusal) => {
                     carrying.undo(&done.plan.changes).await;

@@ -27,6 +27,7 @@ const NOT_YET: &[(&str, &str)] = &[
         "it needs two processes that cannot share memory, or have none: hostile/elsewhere.rs, hostile/limits.rs",
     ),
     ("BUSY", "it needs a request that is under way: helps.rs"),
+    ("PART_TAKEN", "it needs a request that is under way: host/src/gcm/tests/ports.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
     ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),

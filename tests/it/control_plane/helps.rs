@@ -33,6 +33,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("REPLACED", "its help says that nothing is to be done; errors.rs meets it"),
     ("QUEUE_FULL", "its help is to wait; errors.rs fills a queue that nobody empties"),
     ("PEER_LOST", "it needs a caller who is waiting when a process ends"),
+    ("PART_TAKEN", "its help is to wait; host/src/gcm/tests/ports.rs meets it"),
     ("DISABLED", "a caller from outside is told MEMBER_NOT_FOUND"),
     ("WOULD_BLOCK", "only a real-time thread meets it"),
     ("UNBOUND", "a caller from outside is always bound"),

@@ -280,8 +280,8 @@ macro_rules! changing {
         example: LcmTimeout { process: name("host"), what: "Start host/robot".into() },
     }
 
-    /// Another request had what this one needs until its deadline, or has what only a later part of it turned
-    /// out to need; the same request may be under way under its id. This one leaves nothing changed.
+    /// Another request had what this one needs until its deadline; the same request may be under way under
+    /// its id. This one leaves nothing changed.
     Busy { doing: String } => {
         code: DeadlineExceeded, reason: "BUSY",
         sentence: format!("the request did not get its turn in time: {doing} is still being carried out"),
@@ -289,6 +289,20 @@ macro_rules! changing {
                no other request.",
         metadata: put("doing", doing),
         example: Busy { doing: "Start host/robot".into() },
+    }
+
+    /// A later part of a request, which could be planned only after the first was done, needs what another
+    /// request has. This one does not wait for it, and leaves nothing changed.
+    PartTaken { doing: String } => {
+        code: Aborted, reason: "PART_TAKEN",
+        sentence: format!(
+            "a later part of the request needs what another one has, so all of it was taken back: {doing} is \
+             still being carried out"
+        ),
+        help: "Ask again when that is done (`trocar logs` tells). Or ask in two requests, the second one \
+               beginning with the connection of a port that the first one makes: that one waits its turn.",
+        metadata: put("doing", doing),
+        example: PartTaken { doing: "Start host/robot".into() },
     }
 
     } };

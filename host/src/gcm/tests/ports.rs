@@ -160,6 +160,29 @@ async fn what_was_made_to_find_out_its_ports_goes_when_the_others_are_refused() 
 }
 
 #[tokio::test]
+async fn a_later_part_that_meets_another_request_is_told_so_and_all_of_it_is_taken_back() {
+    let (gcm, lcm) = system().await;
+    let there = ["host/a", "host/c", "host/d"].map(create).into_iter();
+    ask(&gcm, there.chain([connect("host/d/input", "host/c/value")]).collect()).await.unwrap();
+    let before = gcm.graph();
+    lcm.hold("Start host/d");
+    let other = gcm.clone();
+    let starting = tokio::spawn(async move { ask(&other, vec![start("host/d")]).await });
+    comes("d is being started", lcm.hangs("Start host/d")).await;
+    // Only the plan of the Remove shows that it takes something from d.
+    let remove = Request::Remove { id: id("host/c"), force: true };
+    let all = vec![maker(&lcm, "host/b"), connect("host/b/made", "host/a/value"), remove];
+    let refusal = ask(&gcm, all).await.unwrap_err();
+    assert_eq!(refusal.reason(), "PART_TAKEN");
+    assert!(refusal.to_string().contains("Start host/d is still being carried out"), "{refusal}");
+    let after = gcm.graph();
+    assert_eq!((&after.connections, after.revision), (&before.connections, before.revision));
+    assert!(after.components.keys().eq(before.components.keys()) && lcm.state("host/b").is_none());
+    lcm.release("Start host/d");
+    starting.await.unwrap().unwrap();
+}
+
+#[tokio::test]
 async fn another_thread_means_made_anew_with_the_same_wires() {
     let (gcm, lcm) = wired().await;
     let execution = Execution { period_ns: Some(2_000_000), ..Execution::default() };

@@ -17,7 +17,7 @@ use super::ops::{CLIENTS, Op, SERVERS, Script, draw};
 const WATCHDOG: Duration = Duration::from_secs(20);
 
 /// What must not happen to anybody: these mean that something hung or broke.
-const NEVER: [&str; 4] = ["INTERNAL", "LCM_TIMEOUT", "BUSY", "DEADLINE"];
+const NEVER: [&str; 5] = ["INTERNAL", "LCM_TIMEOUT", "BUSY", "PART_TAKEN", "DEADLINE"];
 
 pub(super) fn play(lab: &Lab, seed: u64) {
     let Script { executions, changes, calls } = draw(seed);
