@@ -174,6 +174,107 @@ fn the_libraries_we_build_on_are_those_of_adr_0003() {
     assert!(left.is_empty(), "ADR 0003 names {left:?}, on which nothing is built");
 }
 
+/// Floors of `host/lcm/src`, the upper one first: a module names modules of its own floor and of those below.
+const FLOORS: [(&str, &[&str]); 4] = [
+    (
+        "manager",
+        &[
+            "local",
+            "lifecycle",
+            "services",
+            "calling",
+            "outside",
+            "stopping",
+            "static_classes",
+            "store",
+            "classes",
+        ],
+    ),
+    ("joining", &["connect", "carriers", "far", "ends", "passage"]),
+    (
+        "component",
+        &["executor", "cycle", "supervise", "dynamic", "instance", "described", "boundary", "inbox"],
+    ),
+    (
+        "parts",
+        &[
+            "concern",
+            "context",
+            "desk",
+            "gate",
+            "hub",
+            "kept",
+            "logs",
+            "order",
+            "pending",
+            "readers",
+            "reading",
+            "realtime",
+            "rows",
+            "thread",
+            "thumbnail",
+        ],
+    ),
+];
+
+#[test]
+fn the_floors_of_the_lcm_see_only_what_is_below() {
+    let floor = |module: &str| FLOORS.iter().position(|(_, modules)| modules.contains(&module));
+    let source = repository().join("host/lcm/src");
+    let mut open = vec![source.clone()];
+    let (mut arrows, mut wrong) = (0, Vec::new());
+    while let Some(folder) = open.pop() {
+        for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            let place = path.strip_prefix(&source).unwrap().with_extension("");
+            let parts: Vec<&str> = place.iter().filter_map(|part| part.to_str()).collect();
+            let is_test =
+                parts.iter().any(|part| part.starts_with("test") || ["fake", "watchdog"].contains(part));
+            if path.is_dir() {
+                open.push(path);
+            } else if !is_test && !["lib", "counting"].contains(&parts[parts.len() - 1]) {
+                let code = std::fs::read_to_string(&path).unwrap();
+                let Some(own) = floor(parts[0]) else {
+                    wrong.push(format!("{}: no floor in tests/it/arrows.rs", path.display()));
+                    continue;
+                };
+                for other in named_modules(&code, parts.len()) {
+                    let Some(at) = floor(&other) else { continue };
+                    arrows += 1;
+                    if at < own {
+                        let (from, to) = (FLOORS[own].0, FLOORS[at].0);
+                        wrong.push(format!("{} ({from}) names {other} ({to})", place.display()));
+                    }
+                }
+            }
+        }
+    }
+    assert!(arrows > 150, "{arrows} arrows");
+    assert!(wrong.is_empty(), "arrows upwards:\n{}", wrong.join("\n"));
+}
+
+/// The modules below the crate's root that `use` lines of a file name, which lies so many modules deep.
+fn named_modules(code: &str, depth: usize) -> Vec<String> {
+    let code = code.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
+    let mut found = Vec::new();
+    for line in code.split(';').filter_map(|statement| statement.rsplit_once("use ").map(|(_, path)| path)) {
+        let supers = line.matches("super::").count();
+        let Some(rest) = line
+            .strip_prefix("crate::")
+            .or_else(|| (supers == depth).then(|| line.trim_start_matches("super::")))
+        else {
+            continue;
+        };
+        let names: Vec<&str> = match rest.strip_prefix('{') {
+            Some(list) => list.split(',').collect(),
+            None => vec![rest],
+        };
+        let module =
+            |name: &str| name.trim().split([':', ' ', '}', '{']).next().unwrap_or_default().to_owned();
+        found.extend(names.into_iter().map(module));
+    }
+    found
+}
+
 /// A dependency with two sets of features is compiled twice, and so is all that depends on it: by
 /// `cargo build --release`, and again by `./tests/run`.
 #[test]

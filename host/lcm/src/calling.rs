@@ -4,6 +4,8 @@
 //! Invariant: no plugin code runs on the caller's own thread, and every call ends shortly after its deadline
 //! at the latest, whatever the component does.
 
+mod reads;
+
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,11 +19,11 @@ use trocar_plugin_api::abi::{
 use trocar_rt::os;
 
 use super::boundary::{Answer, DEFAULT_DEADLINE_NS, FnBinding, REPLACED, Reader, within_ns};
-use super::connect;
-use super::dynamic::PortSet;
+use super::described::PortSet;
 use super::instance::Instance;
 use super::outside::{misfit, wrong_kind};
-use super::reading::{self, Asked};
+use super::passage;
+use reads::Asked;
 
 /// Time after its deadline at which a call from outside that still runs is left alone.
 pub(super) const GRACE: Duration = Duration::from_millis(50);
@@ -71,7 +73,7 @@ async fn attempt(
     let ret = command.ret.clone();
     let (send, member) = (call.send, call.member.clone());
     let unit = command.ret_unit.clone();
-    let target = connect::target(instance, set, id, &set.external, id, deadline_ns);
+    let target = passage::target(instance, set, id, &set.external, id, deadline_ns);
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match target {
         // A command provided here leads nowhere else.
@@ -81,7 +83,7 @@ async fn attempt(
             Reader::System(_) => read.answer(&arg, ret_bytes),
             Reader::Class(_) => {
                 let member = member.clone();
-                reading::answer(read, Asked { member, arg, ret_bytes, deadline_ns }).await?
+                reads::answer(read, Asked { member, arg, ret_bytes, deadline_ns }).await?
             }
         },
         FnBinding::Command(command) => {

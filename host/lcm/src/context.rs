@@ -1,19 +1,14 @@
-//! Present activity of this thread: the executor it drives, whether it is inside a step, the component that
-//! runs.
+//! Present activity of this thread: the executor it drives, whether it is inside a step, the wakes it owes.
 //!
 //! Invariant: only executors and the LCM's own workers set it; slots read it to tell "same executor" from
 //! "other thread".
 
 use std::cell::{Cell, RefCell};
-use std::ptr;
 use std::sync::Arc;
 
 use trocar_rt::os;
 use trocar_rt::team::Team;
 use trocar_rt::wake::{WakeList, Waker};
-
-use super::boundary::late;
-use super::boundary::{HostContext, told};
 
 /// Identifies a thread of the LCM; 0 is every other thread.
 pub(super) type ExecutorId = u64;
@@ -23,7 +18,6 @@ thread_local! {
     static STEPPING: Cell<bool> = const { Cell::new(false) };
     static IN_STEP: Cell<bool> = const { Cell::new(false) };
     static STEP_BEGAN_NS: Cell<u64> = const { Cell::new(0) };
-    static COMPONENT: Cell<*const HostContext> = const { Cell::new(ptr::null()) };
     static WAKES: RefCell<WakeList> = const { RefCell::new(WakeList::new()) };
     static FLUSHING: Cell<bool> = const { Cell::new(false) };
     static DEFERRED: Cell<bool> = const { Cell::new(false) };
@@ -41,7 +35,6 @@ pub(super) fn set_executor(id: ExecutorId) {
     // Makes the thread-locals exist before the first step.
     WAKES.with_borrow(|_| ());
     TEAM.with_borrow(|_| ());
-    late::prepare();
     ROUNDING.set(os::rounding());
 }
 
@@ -120,17 +113,6 @@ pub(super) fn as_step<R>(f: impl FnOnce() -> R) -> R {
     result
 }
 
-/// The component whose code runs on this thread; null = none.
-pub(super) fn component() -> *const HostContext {
-    COMPONENT.get()
-}
-
-/// Sets the running component and returns the previous one, to be put back.
-#[inline]
-pub(super) fn swap_component(host: *const HostContext) -> *const HostContext {
-    COMPONENT.replace(host)
-}
-
 /// Wakes an executor: after the step when called inside one, else at once.
 pub(super) fn wake(waker: &Arc<Waker>) {
     if STEPPING.get() || FLUSHING.get() {
@@ -146,10 +128,10 @@ pub(super) fn has_wakes() -> bool {
     WAKES.with_borrow(|list| !list.is_empty())
 }
 
-/// Marks the instances told in this turn, and issues the wakes collected during the step.
-pub(super) fn flush_wakes() {
+/// Issues the wakes collected during the step, and those that `tell` asks for.
+pub(super) fn flush_wakes(tell: impl FnOnce()) {
     FLUSHING.set(true);
-    told::flush();
+    tell();
     FLUSHING.set(false);
     WAKES.with_borrow_mut(WakeList::flush);
 }

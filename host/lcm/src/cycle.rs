@@ -11,8 +11,7 @@ use trocar_plugin_api::abi::{NOT_ACTIVE, Tick};
 use trocar_rt::executor::{Cycle, Pace};
 use trocar_rt::turn;
 
-use super::boundary;
-use super::boundary::late;
+use super::boundary::{late, told};
 use super::context;
 use super::instance::{Instance, Stepped};
 use super::pending;
@@ -90,7 +89,7 @@ fn serve_signalled(members: &[Member], pace: Pace) {
     if served {
         pending::publish();
         context::set_stepping(false);
-        context::flush_wakes();
+        told::flush_wakes();
         late::give();
     }
 }
@@ -111,7 +110,7 @@ fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
         let stepped = turn_of(members, cycle, by_signal);
         pending::publish();
         context::set_stepping(false);
-        context::flush_wakes();
+        told::flush_wakes();
         late::give();
         members.iter().for_each(|m| m.instance.object.let_go());
         stepped
@@ -212,7 +211,7 @@ fn bypass(instance: &Instance) -> bool {
     // Cleared before the look at the frames: later arrivals and leftovers set the mark again.
     instance.take_signal();
     if let Some(mut entered) = instance.object.try_enter() {
-        boundary::bypass(instance, &mut entered);
+        instance.bypass(&mut entered);
     }
     instance.refuse_queued(NOT_ACTIVE);
     true

@@ -14,11 +14,12 @@ use trocar_rt::executor::{Bells, Clock, Pacer};
 use trocar_rt::wake::{MOST_BELLS, Waker};
 use trocar_rt::{house, os};
 
+use super::boundary::late;
 use super::context::{self, ExecutorId};
 use super::cycle::{self, Member};
 use super::instance::Instance;
 use super::realtime::{self, Memory, Settings};
-use super::supervise::cannot_go_on;
+use super::thread::Thread;
 
 pub(super) use trocar_rt::executor::Pace;
 
@@ -77,13 +78,18 @@ impl Rung {
 
 type Job = Box<dyn FnOnce(&mut Crew) + Send>;
 
+/// Called with a member of a thread that broke down by a fault of the host, and the reason.
+pub(super) type Broken = fn(&Instance, String);
+
 pub(super) struct Executor {
     pub(super) id: ExecutorId,
     pub(super) waker: Arc<Waker>,
     /// Way the thread finds its cycles.
     pub(super) pace: Pace,
     /// True when the thread looks at its queues in the cycle only and is not woken in between.
-    pub(super) polls: bool,
+    polls: bool,
+    /// Told of a member when the thread broke down, and why.
+    broken: Broken,
     jobs: Mutex<VecDeque<Job>>,
     has_jobs: AtomicBool,
     stop: AtomicBool,
@@ -142,6 +148,7 @@ impl Executor {
         name: &str,
         execution: &Execution,
         memory: &Memory,
+        broken: Broken,
     ) -> std::io::Result<Arc<Executor>> {
         let settings = Arc::new(Settings::default());
         let team = realtime::team(name, execution, memory, settings.clone())?;
@@ -151,6 +158,7 @@ impl Executor {
             waker: Arc::new(Waker::new()),
             pace,
             polls: execution.polls(),
+            broken,
             jobs: Mutex::new(VecDeque::new()),
             has_jobs: AtomicBool::new(false),
             stop: AtomicBool::new(false),
@@ -169,6 +177,7 @@ impl Executor {
         let thread = thread::Builder::new().name(name.clone()).stack_size(realtime::STACK_BYTES);
         house::spawn(thread, move || {
             context::set_executor(mine.id);
+            late::prepare();
             context::set_team(team);
             let named = Named::here(mine.name.clone());
             mine.tid.store(named.0, Ordering::Release);
@@ -180,6 +189,12 @@ impl Executor {
             }
         })?;
         Ok(executor)
+    }
+
+    /// What its members know of it.
+    pub(super) fn thread(&self) -> Thread {
+        let Executor { id, pace, polls, .. } = *self;
+        Thread { id, waker: self.waker.clone(), pace, polls }
     }
 
     pub(super) fn tid(&self) -> i32 {
@@ -306,7 +321,7 @@ impl Executor {
         // A caller that waits for a job is told that it will not run.
         drop(left);
         if let Some(member) = members.first() {
-            cannot_go_on(&member.instance.hub, why);
+            (self.broken)(&member.instance, why);
         }
     }
 

@@ -1,4 +1,4 @@
-//! A component's state in one atomic word.
+//! A component's state in one atomic word, and what of it its callers see.
 
 use trocar_model::{State, StopReason};
 
@@ -27,5 +27,25 @@ pub(super) fn unpack(word: u32) -> State {
         6 => State::Stopped(StopReason::Interlock),
         7 => State::Stopped(StopReason::PeerLost),
         _ => State::Fault,
+    }
+}
+
+/// State of a server as its callers in other processes see it, in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub(crate) enum Standing {
+    NotActive = 0,
+    Active = 1,
+    /// The server is removed, or about to be.
+    Gone = 2,
+}
+
+impl Standing {
+    pub(crate) fn of(word: u64) -> Standing {
+        match word {
+            1 => Standing::Active,
+            2 => Standing::Gone,
+            _ => Standing::NotActive,
+        }
     }
 }

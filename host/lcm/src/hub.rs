@@ -1,20 +1,19 @@
 //! State shared by all components of one LCM: its name, its news, its log ring, the way to wake its watchdog.
 
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::broadcast;
 use trocar_lcm_api::News;
-use trocar_model::Name;
+use trocar_model::{ComponentId, Name};
 use trocar_rt::wake::Waker;
 
-use super::boundary::{AllRemains, HostContext, SharedTable, Slots};
 use super::concern::{self, Concern};
-use super::instance::Instance;
+use super::desk::Desk;
 use super::logs::LogRing;
-use super::reading::Readers;
-use super::services::Desk;
+use super::readers::Readers;
 
 /// Most news that wait for a lagging receiver before it has to ask for the inventory.
 const NEWS_DEPTH: usize = 1024;
@@ -32,9 +31,7 @@ pub(super) struct Hub {
     /// Makes the follower of changing ports look now.
     pub(super) ports: Arc<Waker>,
     /// Removed components whose code may still use what the host gave them: kept until the process ends.
-    graveyard: Mutex<Vec<Arc<Instance>>>,
-    /// The remains of removed components.
-    pub(super) remains: AllRemains,
+    retired: Mutex<BTreeMap<u32, Arc<dyn Any + Send + Sync>>>,
     /// Reports made so far.
     pub(super) reports: AtomicU64,
     /// Warnings of the process itself.
@@ -51,8 +48,7 @@ impl Hub {
             readers: Arc::default(),
             watch: Arc::new(Waker::new()),
             ports: Arc::new(Waker::new()),
-            graveyard: Mutex::new(Vec::new()),
-            remains: AllRemains::default(),
+            retired: Mutex::default(),
             reports: AtomicU64::new(0),
             warnings: Mutex::default(),
         })
@@ -69,33 +65,26 @@ impl Hub {
         let _ = self.news.send(News::Warnings(concern::told(&all)));
     }
 
-    /// Keeps the remains of a dropped component; while a cycle may look there, the follower of ports is
-    /// woken.
-    pub(super) fn keep_remains(
-        &self,
-        host: &Arc<HostContext>,
-        table: Arc<SharedTable>,
-        slots: Vec<Arc<Slots>>,
-    ) {
-        if self.remains.take(host, table, slots) {
-            self.ports.notify();
-        }
-    }
-
     /// Keeps a component for ever, on purpose, and logs it.
-    pub(super) fn bury(&self, instance: Arc<Instance>, why: &str) {
-        let mut graveyard = self.graveyard.lock().unwrap_or_else(PoisonError::into_inner);
-        if graveyard.iter().any(|i| i.number == instance.number) {
+    pub(super) fn retire(
+        &self,
+        number: u32,
+        id: &ComponentId,
+        component: Arc<dyn Any + Send + Sync>,
+        why: &str,
+    ) {
+        let mut retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner);
+        if retired.contains_key(&number) {
             return;
         }
-        let n = graveyard.len() + 1;
-        log::warn!("{}: {why}: it is kept until the process ends, as {n} removed so far", instance.id);
-        graveyard.push(instance);
+        let n = retired.len() + 1;
+        log::warn!("{id}: {why}: it is kept until the process ends, as {n} removed so far");
+        retired.insert(number, component);
     }
 
     /// Number of components kept for ever.
     #[cfg(test)]
-    pub(super) fn buried(&self) -> usize {
-        self.graveyard.lock().unwrap_or_else(PoisonError::into_inner).len()
+    pub(super) fn retired(&self) -> usize {
+        self.retired.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
 }

@@ -12,7 +12,6 @@ use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::reply::ReplyPool;
 
 use super::boundary::RangeCheck;
-use super::instance::Instance;
 
 /// Kinds of mailbox entries. The goal of a plain command ages as its connection and its server's class say.
 pub(super) const ENTRY_COMMAND: u32 = 0;
@@ -66,11 +65,19 @@ pub(super) struct Inbox {
     closed: AtomicBool,
 }
 
+/// A component at either end of a queue, which is warned of what goes wrong there.
+pub(super) trait Party: Send + Sync {
+    fn id(&self) -> &ComponentId;
+
+    /// Reports a sentence that begins with `about` and goes on with `how`; the newest of each `about` stays.
+    fn warn_about(&self, about: &str, how: &str);
+}
+
 /// Source of a queue's entries.
 pub(super) enum From {
     /// The control plane.
     Outside,
-    Component(Weak<Instance>),
+    Component(Weak<dyn Party>),
     /// A component of another process.
     Far(ComponentId),
 }
@@ -177,14 +184,14 @@ impl Inbox {
     }
 
     /// The component that fills the queue, if it is in this process, and its name.
-    pub(super) fn sender(&self) -> (Option<Arc<Instance>>, String) {
+    pub(super) fn sender(&self) -> (Option<Arc<dyn Party>>, String) {
         match &self.from {
             From::Outside => (None, "outside".to_owned()),
             From::Far(id) => (None, id.to_string()),
             From::Component(from) => {
                 let from = from.upgrade();
                 let name =
-                    from.as_ref().map_or_else(|| "one that is gone".into(), |from| from.id.to_string());
+                    from.as_ref().map_or_else(|| "one that is gone".into(), |from| from.id().to_string());
                 (from, name)
             }
         }
@@ -265,7 +272,7 @@ impl Inbox {
 
     /// Warns both ends of commands that were only sent and that failed or never ran since the last report.
     /// Managers only.
-    pub(super) fn tell_toll(&self, to: &Instance) {
+    pub(super) fn tell_toll(&self, to: &dyn Party) {
         let now = [self.failed(), self.unexecuted()];
         let fresh = [0, 1].map(|i| self.toll.told[i].swap(now[i], Ordering::Relaxed) != now[i]);
         // A component that is not ACTIVE handles no events: that is not worth a report every second.
@@ -276,7 +283,7 @@ impl Inbox {
         let say = |what: &str, how: &str| {
             to.warn_about(&format!("commands sent by {sender} {what}"), how);
             if let Some(from) = &from {
-                from.warn_about(&format!("commands it sent to {} {what}", to.id), how);
+                from.warn_about(&format!("commands it sent to {} {what}", to.id()), how);
             }
         };
         if fresh[0] {
@@ -297,6 +304,12 @@ impl Inbox {
                 ),
             );
         }
+    }
+
+    /// Entries lost so far in the queue, by whatever policy, but those that a newer one replaced.
+    pub(super) fn lost(&self) -> u64 {
+        let stats = self.mailbox.stats();
+        stats.rejected + stats.dropped.saturating_sub(stats.superseded)
     }
 
     /// Entries lost to a full queue so far. Commands replaced by newer ones were replaced by their policy,

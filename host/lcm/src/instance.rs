@@ -7,15 +7,17 @@ mod counters;
 mod drain;
 mod running;
 mod status;
+mod views;
 
 use std::collections::BTreeMap;
-use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use trocar_loader::system;
 use trocar_model::{ClassInfo, ComponentId, Execution, State, StopReason};
-use trocar_plugin_api::abi::{HostTable, NOT_ACTIVE, Outcome, PEER_LOST};
+use trocar_plugin_api::abi::{
+    HostTable, INVALID_ARGUMENT, LOG_WARN, NOT_ACTIVE, Outcome, PEER_LOST, WOULD_BLOCK,
+};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mark::Mark;
 use trocar_rt::state::{StateReader, StateWriter, state_table};
@@ -27,20 +29,23 @@ pub(super) use self::drain::CALLS_ON_TRIAL;
 pub(super) use self::running::Stepped;
 use self::running::Terms;
 pub(super) use self::status::Loss;
+use self::views::Views;
+pub(super) use self::views::{ShownRows, View};
 use super::boundary::LoadedClass;
-use super::boundary::{CommandTap, EntryError, HostContext, NoRoom, Object, OutCell, SharedTable};
-use super::context::ExecutorId;
-use super::dynamic::Described;
-use super::executor::Executor;
-use super::far::{Face, ShownRows, Standing};
-use super::gate::{ACTIVE, pack, unpack};
+use super::boundary::{
+    AllRemains, CommandTap, EntryError, HostContext, NoRoom, Object, OutCell, SharedTable,
+};
+use super::context::{self, ExecutorId};
+use super::described::Described;
+use super::desk::{Account, Asker};
+use super::gate::{ACTIVE, Standing, pack, unpack};
 use super::hub::Hub;
 use super::inbox::Inbox;
 use super::pending::Owed;
 use super::reading::Reading;
 use super::realtime::Settings;
-use super::services::Account;
 use super::supervise::{Entry, Moment, Watch};
+use super::thread::Thread;
 
 /// Rows of a state table without a configured length.
 const STATE_ROWS: usize = 256;
@@ -50,14 +55,6 @@ const STATUS_ROWS: usize = 8;
 /// Reason to keep a component whose handles outlive it.
 pub(super) const HELD: &str =
     "its code still holds ports or host handles of it, in a static or in a thread that did not end";
-
-/// View of a component for clients in other processes.
-#[derive(Default)]
-struct Faces {
-    all: Vec<Arc<Face>>,
-    /// Shared by the clients that compute its reads themselves.
-    rows: Option<Arc<ShownRows>>,
-}
 
 /// Data that only the holder of the entry lock touches.
 pub(super) struct Inner {
@@ -112,10 +109,7 @@ pub(super) struct Instance {
     /// Reads from outside.
     pub(super) reading: Reading,
     inboxes: BindingCell<Vec<Arc<Inbox>>>,
-    /// View for clients in other processes.
-    faces: BindingCell<Faces>,
-    /// True when there are such clients.
-    faced: AtomicBool,
+    views: Views,
     /// Lets managers change the lists one after the other.
     editing: Mutex<()>,
     pub(super) owed: Owed,
@@ -127,7 +121,7 @@ pub(super) struct Instance {
     status: Mutex<StateWriter>,
     status_rows: StateReader,
     /// Settings of its thread that the machine granted or refused; set once.
-    thread: OnceLock<Arc<Settings>>,
+    settings: OnceLock<Arc<Settings>>,
     /// Sentences shown with its state beside those of its thread.
     warnings: Mutex<Vec<String>>,
     /// Threads its own code may have started.
@@ -148,6 +142,8 @@ pub(super) struct Instance {
     host: Arc<HostContext>,
     host_table: Arc<SharedTable>,
     pub(super) hub: Arc<Hub>,
+    /// Takes what is left of it when it is dropped.
+    remains: Arc<AllRemains>,
     /// Keeps the library mapped.
     _class: LoadedClass,
 }
@@ -160,19 +156,19 @@ impl Instance {
         id: ComponentId,
         info: Arc<ClassInfo>,
         class: LoadedClass,
-        hub: Arc<Hub>,
+        (hub, remains): (Arc<Hub>, Arc<AllRemains>),
         execution: &Execution,
-        executor: &Executor,
+        thread: Thread,
     ) -> Result<Arc<Self>, NoRoom> {
         let ports = &info.ports;
         let state_bytes = ports.state.as_ref().map_or(0, trocar_model::Type::size);
         let kept = execution.history.map_or(STATE_ROWS, |rows| rows as usize);
         let (writer, rows) = state_table(state_bytes, kept);
         let (status, status_rows) = state_table(system::MAX_BYTES, STATUS_ROWS);
-        let terms = Terms::of(execution, executor);
+        let terms = Terms::of(execution, &thread);
         let described = Described::new(ports.clone())?;
         let now = described.now();
-        let host = HostContext::new(number, id.clone(), &hub);
+        let host = HostContext::new(number, id.clone(), &hub.logs, &hub.desk);
         let instance = Arc::new(Instance {
             number,
             object: Object::new(
@@ -198,8 +194,7 @@ impl Instance {
             stats: CycleStats::new(terms.period_ns()),
             reading: Reading::default(),
             inboxes: BindingCell::new(Box::new(vec![now.external.clone()])),
-            faces: BindingCell::new(Box::default()),
-            faced: AtomicBool::new(false),
+            views: Views::default(),
             editing: Mutex::new(()),
             owed: Owed::default(),
             described,
@@ -208,7 +203,7 @@ impl Instance {
             watch: Watch::default(),
             status: Mutex::new(status),
             status_rows,
-            thread: OnceLock::new(),
+            settings: OnceLock::new(),
             warnings: Mutex::new(Vec::new()),
             brood: Mutex::new(BTreeMap::new()),
             made: OnceLock::new(),
@@ -218,17 +213,19 @@ impl Instance {
             going: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             terms,
-            executor: executor.id,
-            waker: executor.waker.clone(),
+            executor: thread.id,
+            waker: thread.waker,
             host_table: host.shared_table(),
             host,
             hub,
+            remains,
             id,
             info,
             _class: class,
         });
-        let _ = instance.host.instance.set(Arc::downgrade(&instance));
-        instance.hub.desk.enter(&instance);
+        let me = Arc::downgrade(&instance);
+        instance.hub.desk.enter(number, me.clone());
+        let _ = instance.host.instance.set(me);
         instance.publish_status();
         Ok(instance)
     }
@@ -240,6 +237,18 @@ impl Instance {
     /// Services it has asked for that are not answered yet.
     pub(super) fn account(&self) -> &Account {
         &self.host.account
+    }
+
+    /// Asks for a service. Any thread of its code. Never waits, locks or allocates.
+    pub(super) fn ask_service(&self, token: u64, request: &[u8]) -> Outcome {
+        if context::in_step() {
+            self.counters.misuse(Misuse::ServiceFromStep);
+            return WOULD_BLOCK;
+        }
+        self.hub.desk.ask(self.account(), self.number, token, request).unwrap_or_else(|why| {
+            self.log(LOG_WARN, "services", why);
+            INVALID_ARGUMENT
+        })
     }
 
     /// Logs a line of the host's own under this component's name. Real-time.
@@ -311,7 +320,7 @@ impl Instance {
     }
 
     pub(super) fn reclaim(&self) -> usize {
-        self.described.reclaim() + self.inboxes.reclaim() + self.faces.reclaim()
+        self.described.reclaim() + self.inboxes.reclaim() + self.views.reclaim()
     }
 
     /// Ends the plugin's instance. False when it is left with everything it was given: when another thread
@@ -324,7 +333,7 @@ impl Instance {
             true => return true,
         };
         if let Some(me) = self.me() {
-            self.hub.bury(me, why);
+            self.hub.retire(self.number, &self.id, me, why);
         }
         false
     }
@@ -347,25 +356,6 @@ impl Instance {
         self.show_standing();
     }
 
-    /// Changes the views for clients in other processes; managers only.
-    pub(super) fn edit_faces(&self, f: impl FnOnce(&mut Vec<Arc<Face>>)) {
-        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut all = self.faces.enter().all.clone();
-        f(&mut all);
-        self.faced.store(!all.is_empty(), Ordering::SeqCst);
-        let rows = all.iter().find_map(|face| face.rows.clone());
-        self.faces.swap(Box::new(Faces { all, rows }));
-    }
-
-    /// Its rows for other processes: those that are shown already, or new ones. Managers only.
-    ///
-    /// # Errors
-    /// The machine lacks that much memory, or a file descriptor.
-    pub(super) fn rows_for_others(&self) -> io::Result<Arc<ShownRows>> {
-        let shown = self.faces.enter().rows.clone();
-        shown.map_or_else(|| ShownRows::create(self), Ok)
-    }
-
     /// State of the component for its callers.
     pub(super) fn standing(&self) -> Standing {
         if self.going.load(Ordering::SeqCst) || self.is_closed() {
@@ -374,40 +364,6 @@ impl Instance {
             Standing::Active
         } else {
             Standing::NotActive
-        }
-    }
-
-    /// Shows other processes its state, after that has changed.
-    pub(super) fn show_standing(&self) {
-        if self.faced.load(Ordering::SeqCst) {
-            self.faces.enter().all.iter().for_each(|face| face.show_standing(self));
-        }
-    }
-
-    /// Shows other processes the newest row, or the results of its reads. Real-time.
-    #[inline]
-    pub(super) fn show_row(&self) {
-        if self.faced.load(Ordering::Relaxed) {
-            self.faces.look(|faces| {
-                if let Some(rows) = &faces.rows {
-                    rows.show(self);
-                }
-                faces.all.iter().for_each(|face| face.show_row(self));
-            });
-        }
-    }
-
-    /// Shows other processes its statistics. Watchdog only.
-    pub(super) fn show_figures(&self) {
-        if self.faced.load(Ordering::Relaxed) {
-            self.faces.enter().all.iter().for_each(|face| face.show_figures(self));
-        }
-    }
-
-    /// Shows other processes the positions of its reads, after they have changed.
-    pub(super) fn show_positions(&self) {
-        if self.faced.load(Ordering::SeqCst) {
-            self.faces.enter().all.iter().for_each(|face| face.show_positions());
         }
     }
 
@@ -428,8 +384,21 @@ impl Instance {
     }
 }
 
+impl Asker for Instance {
+    fn id(&self) -> &ComponentId {
+        &self.id
+    }
+
+    fn account(&self) -> &Account {
+        Instance::account(self)
+    }
+}
+
 impl Drop for Instance {
     fn drop(&mut self) {
-        self.hub.keep_remains(&self.host, self.host_table.clone(), self.described.all_slots());
+        // While a cycle may look there, the follower of ports is woken.
+        if self.remains.take(&self.host, self.host_table.clone(), self.described.all_slots()) {
+            self.hub.ports.notify();
+        }
     }
 }

@@ -5,13 +5,10 @@
 use trocar_model::{ComponentId, Refusal, State, StopReason};
 use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED, STATUS_INVALID};
 
-use super::boundary::EntryError;
+use super::boundary::{EntryError, EntryResult};
 use super::dynamic;
 use super::instance::{CALLS_ON_TRIAL, Entered, Instance};
 use super::supervise::Entry as Inside;
-
-/// Result of an entry: on failure the name of the entry, and why.
-pub(super) type Entry = Result<(), (&'static str, EntryError)>;
 
 pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryError) -> Refusal {
     if e.refused()
@@ -27,7 +24,7 @@ pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryErr
     }
 }
 
-pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
     let inner = entered.inner();
     (inner.started, inner.to_stop) = (false, false);
     entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
@@ -52,7 +49,7 @@ pub(super) fn configure(
     json: &str,
     before: Option<&str>,
     to_state: State,
-) -> Entry {
+) -> EntryResult {
     let from = instance.state();
     match entered.configure(json) {
         Ok(()) => {}
@@ -90,7 +87,7 @@ fn too_late(stands: State) -> EntryError {
     EntryError::new(STATUS_FAILED, format!("it took so long that it is {stands}"))
 }
 
-pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
     instance.refuse_queued(NOT_ACTIVE);
     instance.stats.reset(instance.period_ns());
     let inner = entered.inner();
@@ -101,7 +98,7 @@ pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
 }
 
 /// A component that was made anew since it ran last has nothing to go on with: it is started.
-pub(super) fn resume(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+pub(super) fn resume(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
     if !entered.inner().started {
         return start(instance, entered);
     }
@@ -113,7 +110,7 @@ fn run(
     entered: &mut Entered<'_>,
     entry: &'static str,
     f: fn(&mut Entered<'_>) -> Result<(), EntryError>,
-) -> Entry {
+) -> EntryResult {
     let inner = entered.inner();
     (inner.last_begin_ns, inner.to_stop) = (0, true);
     instance.set_going(false);
@@ -175,7 +172,7 @@ pub(super) fn tell_ports(instance: &Instance) {
     instance.look_at_ports();
 }
 
-pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> Entry {
+pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
     instance.refuse_queued(instance.turned_away());
     let done = instance.as_running(Inside::Stop, || entered.stop());
     instance.watch.stopped();
@@ -202,7 +199,7 @@ pub(super) fn reset(
     entered: &mut Entered<'_>,
     config: Option<&str>,
     outlasted: impl FnOnce() -> bool,
-) -> Entry {
+) -> EntryResult {
     if instance.is_active() {
         stop(instance, entered)?;
     }

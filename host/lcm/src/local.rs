@@ -30,18 +30,19 @@ use trocar_model::{
 use trocar_rt::{house, os};
 
 use self::ports::Follower;
+use super::boundary::AllRemains;
 use super::calling;
 use super::carriers::Carriers;
 use super::classes::Classes;
 use super::concern::{self, Concern};
 use super::connect::Wired;
 use super::cycle::Follow;
+use super::ends::Here;
 use super::executor::Executor;
-use super::far::Here;
 use super::hub::Hub;
 use super::instance::{Entered, Instance, Loss};
 use super::order::Place;
-use super::outside::{self, Outside};
+use super::outside::{self, Outside, Shows};
 use super::realtime::Memory;
 use super::services::Services;
 use super::store::governed;
@@ -79,6 +80,8 @@ pub struct LocalLcm {
     follower: Follower,
     carriers: Arc<Carriers>,
     pub(super) outside: Outside,
+    /// The remains of removed components.
+    remains: Arc<AllRemains>,
 }
 
 #[derive(Default)]
@@ -154,6 +157,7 @@ impl LocalLcm {
             roster,
             memory,
             outside: Outside::default(),
+            remains: Arc::default(),
             hub,
         });
         let (hub, weak) = (lcm.hub.clone(), Arc::downgrade(&lcm));
@@ -187,14 +191,20 @@ impl LocalLcm {
     /// # Errors
     /// The machine gives no more threads.
     pub fn offer_services(self: &Arc<Self>, services: Arc<dyn Services>) -> std::io::Result<()> {
-        self.hub.desk.open(services, Arc::downgrade(self))
+        let lcm = Arc::downgrade(self);
+        super::services::open(&self.hub.desk, services, move |number| lcm.upgrade()?.member(number))
     }
 
-    /// The thread a component runs on; `None` when the component is gone.
-    pub(super) fn executor_of(&self, instance: &Instance) -> Option<Arc<Executor>> {
+    /// The component of this number and the thread it runs on; `None` when it is gone.
+    fn member(&self, number: u32) -> Option<(Arc<Instance>, Arc<Executor>)> {
         let held = self.held();
-        let slot = held.components.get(&instance.id)?;
-        (slot.instance.number == instance.number).then(|| slot.executor.clone())
+        let slot = held.components.values().find(|slot| slot.instance.number == number)?;
+        Some((slot.instance.clone(), slot.executor.clone()))
+    }
+
+    #[cfg(test)]
+    pub(super) fn executor_of(&self, instance: &Instance) -> Option<Arc<Executor>> {
+        self.member(instance.number).map(|(_, executor)| executor)
     }
 
     /// Classes as this process offers them.
@@ -300,8 +310,8 @@ impl LocalLcm {
     }
 
     #[cfg(test)]
-    pub(super) fn buried(&self) -> usize {
-        self.hub.buried()
+    pub(super) fn retired(&self) -> usize {
+        self.hub.retired()
     }
 
     /// Sends a line of the process itself to the readers of the log.
@@ -309,7 +319,7 @@ impl LocalLcm {
         let _ = self.hub.news.send(News::Log(line));
     }
 
-    pub(super) fn news_receiver(&self) -> broadcast::Receiver<News> {
+    fn news_receiver(&self) -> broadcast::Receiver<News> {
         self.hub.news.subscribe()
     }
 
@@ -412,6 +422,20 @@ async fn join_all<F: Future>(futures: impl IntoIterator<Item = F>) -> Vec<F::Out
     })
     .await;
     done.into_iter().flatten().collect()
+}
+
+impl Shows for LocalLcm {
+    fn component(&self, id: &ComponentId) -> Result<Arc<Instance>, Refusal> {
+        self.instance(id)
+    }
+
+    fn outside(&self) -> &Outside {
+        &self.outside
+    }
+
+    fn news(&self) -> broadcast::Receiver<News> {
+        self.news_receiver()
+    }
 }
 
 #[async_trait]

@@ -7,39 +7,31 @@
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 
-use super::context;
-use super::instance::Instance;
-
 /// Most components a thread may owe a row at once; one more makes it publish all.
 const MOST: usize = 16;
 
 thread_local! {
     static COUNT: Cell<usize> = const { Cell::new(0) };
-    static OWED: RefCell<[Option<Arc<Instance>>; MOST]> = const { RefCell::new([const { None }; MOST]) };
+    static OWED: RefCell<[Option<Arc<dyn Owes>>; MOST]> = const { RefCell::new([const { None }; MOST]) };
 }
 
-/// Defers the row of a component of this thread; false where it has to be published now.
-#[inline]
-pub(super) fn later(instance: &Instance) -> bool {
-    // Set only by the thread that runs it: a thread that is inside and finds it set is that thread.
-    instance.state_bytes == 0 || instance.owed.get() || enlist(instance)
+/// A component whose row may be published later.
+pub(super) trait Owes: Send + Sync {
+    fn owed(&self) -> &Owed;
+
+    /// Publishes its row, unless a thread is inside, which owes the row again on leaving.
+    fn publish_owed(&self);
 }
 
-#[inline(never)]
-fn enlist(instance: &Instance) -> bool {
-    let own_thread_only = !instance.is_passive() && !instance.is_called_back();
-    if !context::stepping() || !own_thread_only || context::executor() != instance.executor_id() {
-        return false;
-    }
-    let Some(me) = instance.me() else { return false };
+/// Puts a component of this thread into its list; the caller knows that nobody notices the delay.
+pub(super) fn enlist(component: Arc<dyn Owes>) {
     if COUNT.get() == MOST {
         publish_all();
     }
     let at = COUNT.get();
-    OWED.with_borrow_mut(|owed| owed[at] = Some(me));
+    component.owed().set(true);
+    OWED.with_borrow_mut(|owed| owed[at] = Some(component));
     COUNT.set(at + 1);
-    instance.owed.set(true);
-    true
 }
 
 /// Publishes the rows this thread owes.
@@ -50,25 +42,13 @@ pub(super) fn publish() {
     }
 }
 
-/// Publishes the row of this component, and all others this thread owes, if this thread owes it.
-#[inline]
-pub(super) fn publish_of(instance: &Instance) {
-    if instance.owed.get() && COUNT.get() > 0 && context::executor() == instance.executor_id() {
-        publish_all();
-    }
-}
-
 #[inline(never)]
 fn publish_all() {
     for at in 0..COUNT.replace(0) {
-        let Some(instance) = OWED.with_borrow_mut(|owed| owed[at].take()) else { continue };
-        if !instance.owed.take() {
-            // Published in another way: by a step, or for an answer.
-            continue;
-        }
-        // A thread inside it owes the row again on leaving.
-        if let Some(mut entered) = instance.object.try_enter() {
-            instance.publish_state(&mut entered);
+        let Some(component) = OWED.with_borrow_mut(|owed| owed[at].take()) else { continue };
+        // If it is not owed, it was published in another way: by a step, or for an answer.
+        if component.owed().take() {
+            component.publish_owed();
         }
     }
 }
@@ -78,7 +58,8 @@ fn publish_all() {
 pub(super) struct Owed(std::sync::atomic::AtomicBool);
 
 impl Owed {
-    fn get(&self) -> bool {
+    #[inline]
+    pub(super) fn get(&self) -> bool {
         self.0.load(std::sync::atomic::Ordering::Relaxed)
     }
 

@@ -6,6 +6,7 @@ use trocar_plugin_api::abi::{CallOpts, ErrBuf, MODE_CALL, MODE_SEND, Outcome, UN
 
 use super::call::CommandTarget;
 use super::read::ReadTarget;
+use super::texts::{as_bytes, sentence};
 
 /// Result of a call from outside a component.
 pub(crate) struct Answer {
@@ -52,8 +53,8 @@ fn answer(
     let outcome = call(words.as_ptr().cast(), ret.as_mut_ptr().cast(), &mut opts);
     Answer {
         outcome,
-        value: super::as_bytes(&ret)[..ret_bytes].to_vec(),
-        text: super::sentence(&raw mut err),
+        value: as_bytes(&ret)[..ret_bytes].to_vec(),
+        text: sentence(&raw mut err),
         stamp_ns: opts.stamp_ns,
         may_still_run: opts.may_still_run != 0,
     }

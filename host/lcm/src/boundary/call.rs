@@ -4,12 +4,11 @@
 //! excepted, under its lock) and never re-entered; such a call is queued or answered WOULD_BLOCK.
 
 use std::ffi::c_void;
-use std::io::Write;
 use std::sync::Arc;
 
 use trocar_plugin_api::abi::{
-    Bytes, CallOpts, DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, Outcome,
-    PEER_LOST, QUEUE_FULL, STATUS_OK, Sink, Status, UNBOUND, WOULD_BLOCK,
+    Bytes, CallOpts, DEADLINE, DISABLED, ErrBuf, INVALID_ARGUMENT, MODE_CALL, MODE_SEND, Outcome, PEER_LOST,
+    QUEUE_FULL, Sink, Status, UNBOUND, WOULD_BLOCK,
 };
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
@@ -19,20 +18,16 @@ use trocar_rt::reply::ReplyPool;
 use super::super::context;
 use super::super::inbox::{Inbox, Position};
 use super::super::instance::{Entered, Instance, Misuse};
-use super::entry::Unexplained;
 use super::far::{FarCommand, FarRead};
 use super::host_table::HostContext;
+use super::inside::misused;
 use super::options;
+use super::outcomes::{lacks, within_ns};
 use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
 use super::read::ReadTarget;
-use super::tap::plain_outcome;
-use super::{misused, text_in, told};
-
-/// Deadline of a blocking call that names none, ns.
-pub(crate) const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
-/// Longest deadline of a call, ns, as of a connection: a call that asks for more waits an hour.
-const MAX_DEADLINE_NS: u64 = 3_600_000_000_000;
+use super::texts;
+use super::told;
 
 /// The present target of one function. The tag is a byte of its own: quicker to test than a niche.
 #[repr(u8)]
@@ -204,44 +199,10 @@ pub(super) unsafe extern "C" fn call_bytes(
     unsafe { options::with(opts, go) }
 }
 
-/// Tells whether the command has this argument or result and the caller gave no place for it.
-pub(super) fn lacks(place: *const u8, bytes: usize) -> bool {
-    place.is_null() && bytes > 0
-}
-
 pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
     // SAFETY: as in `call`.
     let cell = unsafe { &*ctx.cast::<FnCell>() };
-    super::tell(sink, &cell.binding.enter().described)
-}
-
-/// Longest wait of a call that asks for `asked_ns`, ns; 0 means the deadline of its connection.
-pub(crate) fn within_ns(asked_ns: u64, connection_ns: u64) -> u64 {
-    if asked_ns == 0 { connection_ns } else { asked_ns.min(MAX_DEADLINE_NS) }
-}
-
-/// Turns a status of `command` or `read` into the caller's outcome. The caller is told the number where the
-/// plugin gives no sentence.
-pub(crate) fn outcome_of(status: Status, err: *mut ErrBuf) -> Outcome {
-    if status == STATUS_OK {
-        return EXECUTED;
-    }
-    explain(status, err);
-    plain_outcome(status)
-}
-
-#[cold]
-fn explain(status: Status, err: *mut ErrBuf) {
-    // SAFETY: null or a buffer the caller lends for the call.
-    if unsafe { err.as_ref() }.is_none_or(|err| !text_in(err).is_empty()) {
-        return;
-    }
-    let mut room = [0; 64];
-    let mut rest = &mut room[..];
-    // Text without room is left out.
-    let _ = write!(rest, "{}", Unexplained(status));
-    let said = 64 - rest.len();
-    write_err(err, &room[..said]);
+    texts::tell(sink, &cell.binding.enter().described)
 }
 
 impl CommandTarget {
@@ -283,7 +244,7 @@ impl CommandTarget {
         if let Some(command) = self.command.get() {
             self.server.described.look(|set| {
                 if let Some(tap) = set.command_tap.as_ref().filter(|tap| tap.is_listened()) {
-                    tap.tell(command, arg, outcome, None);
+                    tap.tell(command, arg, outcome, false);
                 }
             });
         }
@@ -429,7 +390,7 @@ impl Destination for CommandTarget {
     fn signal_now(&self) {
         self.signal();
         // Its thread runs the queued call now, not after this step: the step may be one that tries again.
-        context::flush_wakes();
+        told::flush_wakes();
     }
 
     fn queued(&self) {
@@ -444,31 +405,5 @@ impl Destination for CommandTarget {
     fn away(&self) -> Option<Outcome> {
         let runs = self.server.is_active() && !self.server.is_closed();
         (!runs).then(|| self.server.turned_away())
-    }
-}
-
-/// Puts a sentence into a caller's error buffer, cut to its room.
-pub(crate) fn write_err(err: *mut ErrBuf, text: &[u8]) {
-    // SAFETY: null or a buffer the caller lends for the call.
-    if let Some(err) = unsafe { err.as_mut() }
-        && !err.ptr.is_null()
-    {
-        let n = text.len().min(err.cap);
-        // SAFETY: `ptr` has room for `cap` bytes.
-        unsafe { std::ptr::copy_nonoverlapping(text.as_ptr(), err.ptr, n) };
-        err.len = n;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{MAX_DEADLINE_NS, within_ns};
-
-    #[test]
-    fn a_call_waits_as_long_as_it_or_its_connection_says_and_never_more_than_an_hour() {
-        assert_eq!(within_ns(0, 20), 20, "it names none");
-        assert_eq!(within_ns(7, 20), 7);
-        assert_eq!(within_ns(MAX_DEADLINE_NS + 1, 20), MAX_DEADLINE_NS);
-        assert_eq!(within_ns(u64::MAX, 20), MAX_DEADLINE_NS);
     }
 }

@@ -30,3 +30,21 @@ impl LoadedClass {
         self.table
     }
 }
+
+/// A class of the loader as the LCM keeps it.
+pub(crate) fn loaded_class(class: trocar_loader::LoadedClass) -> LoadedClass {
+    let table = std::ptr::from_ref(class.table);
+    // SAFETY: the loader checked the table; the plugin, kept beside it, stays mapped for the life of the
+    // process.
+    unsafe { LoadedClass::new(table, class.plugin) }
+}
+
+/// A class of a plugin linked into this program, by its position in the manifest.
+pub(crate) fn linked_class(
+    plugin: &std::sync::Arc<trocar_loader::LinkedPlugin>,
+    index: usize,
+) -> Option<LoadedClass> {
+    let table = std::ptr::from_ref(plugin.table(index)?);
+    // SAFETY: the loader checked the table, a static of this program.
+    Some(unsafe { LoadedClass::new(table, plugin.clone()) })
+}

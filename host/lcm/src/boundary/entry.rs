@@ -19,7 +19,11 @@ use trocar_rt::os;
 use super::super::context;
 use super::hot::{Hot, StateCopy, entry};
 use super::needs;
-use super::ports::NoRoom;
+use super::no_room::NoRoom;
+use super::texts::{bytes, sentence, write_err};
+
+/// Result of an entry: on failure the name of the entry, and why.
+pub(crate) type EntryResult = Result<(), (&'static str, EntryError)>;
 
 /// A failed entry: its status and its sentence.
 #[derive(Clone, Debug)]
@@ -64,7 +68,7 @@ fn guarded(mut err: ErrBuf, f: impl FnOnce(*mut ErrBuf) -> Status) -> Result<(),
 
 #[cold]
 fn failed(status: Status, err: *mut ErrBuf) -> EntryError {
-    let text = super::sentence(err);
+    let text = sentence(err);
     let text = if text.is_empty() { Unexplained(status).to_string() } else { text };
     EntryError::new(status, text)
 }
@@ -87,7 +91,7 @@ const GONE: &str = "there is no instance any more: it was destroyed, and the one
 
 #[cold]
 fn gone(err: *mut ErrBuf) -> Status {
-    super::call::write_err(err, GONE.as_bytes());
+    write_err(err, GONE.as_bytes());
     STATUS_FAILED
 }
 
@@ -502,8 +506,4 @@ unsafe extern "C" fn add_piece(ctx: *mut c_void, piece: Bytes) {
         // SAFETY: the plugin lends `len` bytes for the call.
         text.bytes.extend_from_slice(unsafe { std::slice::from_raw_parts(piece.ptr, piece.len) });
     }
-}
-
-pub(super) fn bytes(text: &[u8]) -> Bytes {
-    Bytes { ptr: text.as_ptr(), len: text.len() }
 }

@@ -133,7 +133,7 @@ impl Own {
         let body = SliceBody { data: std::ptr::null_mut(), run: nothing };
         // SAFETY: the host's own table and extension; the body lives through the call.
         unsafe {
-            let id = super::entry::bytes(PARALLEL.as_bytes());
+            let id = super::texts::bytes(PARALLEL.as_bytes());
             let parallel = ((*self.host).extension)((*self.host).ctx, id).cast::<Parallel>();
             let status = ((*parallel).run)((*parallel).ctx, 8, &raw const body);
             if status == STATUS_OK { ((*parallel).threads)((*parallel).ctx) } else { 0 }
@@ -176,7 +176,7 @@ impl Own {
 
     /// Asks for a dynamic component service.
     pub(crate) fn service(&self, token: u64, request: &str) -> Outcome {
-        let request = super::entry::bytes(request.as_bytes());
+        let request = super::texts::bytes(request.as_bytes());
         // SAFETY: the table lives as long as the instance, the text through the call.
         unsafe { ((*self.host).service)((*self.host).ctx, token, request) }
     }
@@ -246,7 +246,7 @@ fn entry(err: *mut ErrBuf, f: impl FnOnce() -> Result<(), String>) -> Status {
             (STATUS_PANICKED, text.to_owned())
         }
     };
-    super::call::write_err(err, text.as_bytes());
+    super::texts::write_err(err, text.as_bytes());
     status
 }
 

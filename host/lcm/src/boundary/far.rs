@@ -19,14 +19,32 @@ use trocar_rt::state::StateReader;
 use trocar_rt::wake::Waker;
 
 use super::super::context;
-use super::super::far::{Asking, Standing};
+use super::super::gate::Standing;
 use super::super::instance::Misuse;
-use super::call::{lacks, within_ns, write_err};
 use super::entry::ERR_BYTES;
 use super::here::OwnRead;
-use super::misused;
+use super::inside::misused;
+use super::outcomes::{lacks, within_ns};
 use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
+use super::texts::write_err;
+
+/// Answer of a server's process to a read.
+pub(crate) struct ReadAnswer {
+    pub(crate) outcome: i32,
+    pub(crate) stamp_ns: u64,
+    pub(crate) value: Vec<u8>,
+    pub(crate) text: String,
+}
+
+/// A peer that can be asked for the result of a read.
+pub(crate) trait Asking: Send + Sync {
+    /// Asks for the read at this place among the connection's functions and waits.
+    ///
+    /// # Errors
+    /// DEADLINE, or PEER_LOST when no answer can come any more.
+    fn ask(&self, index: u32, arg: &[u8], within_ns: u64) -> Result<ReadAnswer, Outcome>;
+}
 
 /// A server in another process, as its client sees it.
 pub(crate) struct FarServer {

@@ -15,12 +15,13 @@ use trocar_plugin_api::abi::{DISABLED, ErrBuf, NOT_ACTIVE, Outcome, STATUS_PANIC
 use trocar_rt::segment::Word;
 use trocar_rt::state::StateReader;
 
-use super::super::far::Mend;
 use super::super::instance::LastWords;
-use super::call::outcome_of;
 use super::class::LoadedClass;
 use super::hot::{Hot, Read};
-use super::read::{bytes_of, with_row};
+use super::mend::Mend;
+use super::outcomes::outcome_of;
+use super::row::{bytes_of, with_row};
+use super::texts::sentence;
 
 /// A class that both this process and another one have.
 pub(crate) struct OwnClass {
@@ -60,7 +61,7 @@ pub(crate) struct Panics {
 impl Panics {
     #[cold]
     fn add(&self, name: &str, err: *mut ErrBuf) {
-        self.last.put(format!("{name}: {}", super::sentence(err)).as_bytes());
+        self.last.put(format!("{name}: {}", sentence(err)).as_bytes());
         self.count.fetch_add(1, Ordering::Release);
     }
 

@@ -14,11 +14,10 @@ use trocar_plugin_api::abi::{
 };
 use trocar_rt::os;
 
-use super::super::context;
-use super::super::hub::Hub;
+use super::super::desk::{Account, Desk};
 use super::super::instance::Instance;
 use super::super::logs::{self, LogRing};
-use super::super::services::{Account, Desk};
+use super::inside::component;
 use super::parallel;
 
 /// The data behind `HostTable::ctx` of one instance.
@@ -37,14 +36,14 @@ pub(crate) struct HostContext {
 }
 
 impl HostContext {
-    pub(crate) fn new(number: u32, id: ComponentId, hub: &Hub) -> Arc<Self> {
+    pub(crate) fn new(number: u32, id: ComponentId, logs: &Arc<LogRing>, desk: &Arc<Desk>) -> Arc<Self> {
         Arc::new(Self {
             number,
             id,
-            logs: hub.logs.clone(),
+            logs: logs.clone(),
             instance: OnceLock::new(),
             account: Account::default(),
-            desk: hub.desk.clone(),
+            desk: desk.clone(),
             held: AtomicBool::new(false),
             late: AtomicU64::new(0),
         })
@@ -155,7 +154,7 @@ unsafe extern "C" fn log(ctx: *mut c_void, level: u32, target: Bytes, message: B
 /// thread, else to the host's own log. Never waits when a component runs.
 pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
     // SAFETY: null, or the context of the instance that is being called on this very thread.
-    match unsafe { context::component().as_ref() } {
+    match unsafe { component().as_ref() } {
         Some(host) => host.logs.push(host.number, level, target.as_bytes(), message.as_bytes()),
         None => trocar_loader::log_to_crate(plugin, level, target, message),
     }
@@ -165,7 +164,7 @@ pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
 unsafe extern "C" fn service(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome {
     let host = context_of(ctx);
     match host.instance() {
-        Some(instance) => host.desk.ask(&instance, token, text(&request)),
+        Some(instance) => instance.ask_service(token, text(&request)),
         None => NOT_ACTIVE,
     }
 }

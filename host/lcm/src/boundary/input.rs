@@ -26,7 +26,7 @@ use trocar_rt::timing::Histogram;
 use super::super::context;
 use super::host_table::HostContext;
 use super::output::OutCell;
-use super::room;
+use super::{room, texts};
 
 /// Number of the next link of this process; never used twice, as an address would be.
 static NEXT: AtomicU64 = AtomicU64::new(1);
@@ -460,5 +460,5 @@ pub(super) unsafe extern "C" fn writable(ctx: *mut c_void, view: *mut SampleView
 }
 
 pub(super) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
-    super::tell(sink, in_cell(ctx).link.enter().as_ref().map_or("", |link| &link.described))
+    texts::tell(sink, in_cell(ctx).link.enter().as_ref().map_or("", |link| &link.described))
 }

@@ -3,8 +3,8 @@
 //! Invariant: no step waits for an observer. Deliveries to observers are noted in the thread's turn and made
 //! when the turn ends: in the order they came, after the wakes of all consumers that work with the turn's
 //! results. Nothing is left over when a turn ends. Only actions of a component that no other thread enters
-//! before then are noted ([`super::runs_kept`]): no other thread overtakes them. A noted object stays until
-//! its turn ends, so noting it counts no reference.
+//! before then are noted ([`super::inside::runs_kept`]): no other thread overtakes them. A noted object stays
+//! until its turn ends, so noting it counts no reference.
 
 use std::cell::{Cell, RefCell};
 use std::ops::Range;
@@ -17,6 +17,7 @@ use trocar_rt::turn;
 use super::super::instance::Instance;
 use super::super::{context, pending};
 use super::output::{OutCell, OutLink};
+use super::told;
 
 /// Most deliveries a turn may defer; when the list is full, all of it is given at once.
 const MOST: usize = 64;
@@ -195,7 +196,7 @@ fn give_all() {
     LATE.set(Some(late));
     context::set_stepping(stepping);
     if !stepping {
-        context::flush_wakes();
+        told::flush_wakes();
     }
 }
 
@@ -230,7 +231,7 @@ mod tests {
             context::set_stepping(true);
             f();
             context::set_stepping(false);
-            context::flush_wakes();
+            told::flush_wakes();
             give();
         });
     }

@@ -24,6 +24,7 @@ use super::super::instance::{Instance, Misuse};
 use super::super::pending;
 use super::host_table::HostContext;
 use super::input::InCell;
+use super::inside::{running, runs_kept};
 use super::{late, told};
 use pools::Pools;
 pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
@@ -276,7 +277,7 @@ impl OutCell {
     #[cold]
     #[inline(never)]
     fn note_ahead(&self, ahead_ns: u64) {
-        super::running(|instance| {
+        running(|instance| {
             let mut said = [0; 96];
             let room = said.len();
             let mut rest = said.as_mut_slice();
@@ -396,7 +397,7 @@ impl OutLink {
     fn push(&self, value: &[u8], meta: Meta) {
         if self.is_watched() {
             // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
-            if super::runs_kept() && unsafe { late::sample(self, value, meta) } {
+            if runs_kept() && unsafe { late::sample(self, value, meta) } {
                 return;
             }
             pending::publish();
@@ -407,7 +408,7 @@ impl OutLink {
     #[inline]
     fn push_frame(&self, mut frame: Frame, meta: Meta) {
         if self.is_watched() {
-            if super::runs_kept() {
+            if runs_kept() {
                 // SAFETY: as in `push`.
                 match unsafe { late::frame(self, frame, meta) } {
                     None => return,

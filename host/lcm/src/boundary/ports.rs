@@ -5,10 +5,9 @@
 //! description's. A port that stays from one description to the next keeps its cell and its slot, and with
 //! them all its connections.
 
-use std::fmt;
 use std::sync::Arc;
 
-use trocar_model::{ComponentId, Output, PortType, Ports as Described, Refusal, Type};
+use trocar_model::{Output, PortType, Ports as Described, Type};
 use trocar_plugin_api::abi::{EventSlot, FnSlot, InSlot, OutSlot, Ports};
 use trocar_rt::os::OsError;
 use trocar_rt::pool::{self, FramePool};
@@ -17,6 +16,7 @@ use super::call::{self, FnCell};
 use super::event::{self, EventCell};
 use super::host_table::HostContext;
 use super::input::{self, InCell};
+use super::no_room::NoRoom;
 use super::output::{self, OutCell};
 use super::same::{self, same_input, same_output};
 
@@ -70,37 +70,6 @@ unsafe impl Sync for Slots {}
 
 fn size_of_slot<T>() -> u32 {
     size_of::<T>() as u32
-}
-
-/// Outputs without memory for their frames.
-#[derive(Clone, Debug)]
-pub(crate) struct NoRoom {
-    pub(crate) outputs: Vec<String>,
-    /// All bytes that were asked for.
-    pub(crate) bytes: u64,
-    /// Memory that is available.
-    pub(crate) why: String,
-}
-
-/// Most outputs a sentence names.
-const NAMED: usize = 3;
-
-impl fmt::Display for NoRoom {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let named = self.outputs.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
-        write!(f, "it asks for {} bytes for the frames of {named}", self.bytes)?;
-        match self.outputs.len().saturating_sub(NAMED) {
-            0 => {}
-            more => write!(f, " and {more} more")?,
-        }
-        write!(f, ": {}", self.why)
-    }
-}
-
-impl NoRoom {
-    pub(crate) fn refusal(self, id: &ComponentId) -> Refusal {
-        Refusal::NoMemory { id: id.clone(), outputs: self.outputs, bytes: self.bytes, why: self.why }
-    }
 }
 
 /// Bytes of the pool that is made together with an output; 0 without one.

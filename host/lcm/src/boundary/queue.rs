@@ -14,7 +14,7 @@ use trocar_rt::reply::{Reply, ReplyPool};
 use super::super::context;
 use super::super::inbox::{ENTRY_COMMAND, ENTRY_DUE};
 use super::super::pending;
-use super::call::write_err;
+use super::texts::write_err;
 
 /// One command of one connection: its place in the queue and its sizes.
 pub(crate) struct Lane {

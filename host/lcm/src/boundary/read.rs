@@ -4,16 +4,16 @@
 
 use std::sync::Arc;
 
-use trocar_loader::convert::MAX_PAYLOAD;
 use trocar_plugin_api::abi::{
     CallOpts, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, STATUS_PANICKED,
 };
 
 use super::super::inbox::Position;
 use super::super::instance::{Instance, Misuse};
-use super::super::pending;
-use super::call::{lacks, outcome_of};
+use super::outcomes::{lacks, outcome_of};
 use super::range::RangeCheck;
+use super::row::{FEW_WORDS, LARGEST_ROW, MIDDLE_ROW, SMALL_ROW, TINY_ROW, bytes_of, with_row};
+use super::texts::sentence;
 
 /// A read of a server: the class's own or one of the system interface.
 pub(crate) struct ReadTarget {
@@ -48,7 +48,7 @@ impl ReadTarget {
             Reader::System(which) => (EXECUTED, self.read_system(*which, ret)),
             Reader::Class(command) => match command.get() {
                 Some(command) => {
-                    pending::publish_of(&self.server);
+                    self.server.publish_if_owed();
                     read_row(&self.server, command, arg, ret, err)
                 }
                 None => (DISABLED, 0),
@@ -120,14 +120,6 @@ pub(crate) fn read_published(
     Published { outcome, panicked, stamp_ns, text_bytes: err.len.min(text.len()) }
 }
 
-/// Words of the stack copies a read chooses from: the smallest one that holds the row is taken, so that
-/// nothing is allocated on a step and few words are cleared needlessly.
-const FEW_WORDS: usize = 8;
-const TINY_ROW: usize = 32;
-const SMALL_ROW: usize = 128;
-const MIDDLE_ROW: usize = 1024;
-const LARGEST_ROW: usize = MAX_PAYLOAD / 8;
-
 /// Answers a read from the server's last published row; any thread, never waits.
 #[inline]
 fn read_row(
@@ -157,32 +149,6 @@ fn read_apart<const N: usize>(
     err: *mut ErrBuf,
 ) -> (Outcome, u64) {
     read_copy::<N>(server, command, arg, ret, err)
-}
-
-/// Calls `f` with a place on the stack for a row of so many bytes: zeroed, in whole words.
-#[inline]
-pub(super) fn with_row<R>(bytes: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
-    match bytes.div_ceil(8) {
-        words if words <= FEW_WORDS => with_words::<FEW_WORDS, R>(words, f),
-        words if words <= TINY_ROW => with_words::<TINY_ROW, R>(words, f),
-        words if words <= SMALL_ROW => with_words::<SMALL_ROW, R>(words, f),
-        words if words <= MIDDLE_ROW => with_words::<MIDDLE_ROW, R>(words, f),
-        words => with_words::<LARGEST_ROW, R>(words, f),
-    }
-}
-
-#[inline(never)]
-fn with_words<const N: usize, R>(words: usize, f: impl FnOnce(&mut [u64]) -> R) -> R {
-    let mut place = [0u64; N];
-    f(&mut place[..words])
-}
-
-/// The first `bytes` bytes of a row.
-#[inline]
-pub(super) fn bytes_of(row: &mut [u64], bytes: usize) -> &mut [u8] {
-    let bytes = bytes.min(size_of_val(row));
-    // SAFETY: a u64 slice viewed as its first bytes.
-    unsafe { std::slice::from_raw_parts_mut(row.as_mut_ptr().cast::<u8>(), bytes) }
 }
 
 /// Answers the read from a copy of the newest row in `N` words of the stack; the row fits, by `convert`'s
@@ -215,6 +181,6 @@ fn read_copy<const N: usize>(
 fn panicked(server: &Instance, command: u32, err: *mut ErrBuf) {
     let ports = server.ports();
     let name = ports.provided.iter().flat_map(|p| &p.commands).nth(command as usize).map_or("", |c| &c.name);
-    let text = format!("{name}: {}", super::sentence(err));
+    let text = format!("{name}: {}", sentence(err));
     server.counters.failed(Misuse::ReadPanicked, text.as_bytes());
 }

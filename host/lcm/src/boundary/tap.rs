@@ -7,14 +7,12 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use trocar_loader::taps::{HEAD, MOST};
-use trocar_plugin_api::abi::{
-    EXECUTED, FAILED, INVALID_ARGUMENT, Outcome, STATUS_INVALID, STATUS_OK, Status,
-};
+use trocar_plugin_api::abi::Outcome;
 use trocar_rt::os;
 use trocar_rt::stream::Meta;
 
-use super::super::instance::Instance;
 use super::super::pending;
+use super::inside::runs_kept;
 use super::late;
 use super::output::OutCell;
 
@@ -39,7 +37,7 @@ impl EventTap {
     #[inline(always)]
     pub(super) fn tell(&self, payload: &[u8]) {
         if self.cell.is_listened() {
-            self.tell_all(payload, super::runs_kept());
+            self.tell_all(payload, runs_kept());
         }
     }
 
@@ -57,10 +55,11 @@ impl CommandTap {
         self.cell.is_listened()
     }
 
-    /// Tells that a command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller. `of`
-    /// is the component of this tap, if this thread ran the command. Any thread. Real-time.
+    /// Tells that a command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller.
+    /// `later`: this thread ran the command and keeps the component of this tap for its turn. Any thread.
+    /// Real-time.
     #[inline(never)]
-    pub(crate) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, of: Option<&Instance>) {
+    pub(crate) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, later: bool) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept: &[u8] = if whole == 0 || arg.is_null() {
             &[]
@@ -69,7 +68,6 @@ impl CommandTap {
             // itself.
             unsafe { std::slice::from_raw_parts(arg, whole.min(MOST)) }
         };
-        let later = of.is_some_and(|instance| instance.object.is_kept_here());
         tell(&self.cell, words(command, outcome, kept, whole), kept, later);
     }
 
@@ -94,15 +92,6 @@ fn tell(tap: &OutCell, words: [u32; 4], kept: &[u8], later: bool) {
 
 fn words(command: u32, outcome: Outcome, kept: &[u8], whole: usize) -> [u32; 4] {
     [command, outcome.cast_unsigned(), kept.len() as u32, whole as u32]
-}
-
-/// Outcome of a status of `command`, without the sentence.
-pub(crate) fn plain_outcome(status: Status) -> Outcome {
-    match status {
-        STATUS_OK => EXECUTED,
-        STATUS_INVALID => INVALID_ARGUMENT,
-        _ => FAILED,
-    }
 }
 
 impl OutCell {
@@ -146,7 +135,7 @@ mod tests {
     use std::sync::Arc;
 
     use trocar_model::{PortType, Prim, Type};
-    use trocar_plugin_api::abi::UNBOUND;
+    use trocar_plugin_api::abi::{EXECUTED, UNBOUND};
     use trocar_rt::stream::{Payload, Queue, stream_link};
 
     use super::super::event::EventCell;
@@ -185,13 +174,13 @@ mod tests {
         cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true)), &ty, &"".into());
         let arg = vec![7u8; MOST + 100];
         let tap = CommandTap { cell, arg_bytes: Arc::new([0, arg.len()]) };
-        tap.tell(1, arg.as_ptr(), EXECUTED, None);
+        tap.tell(1, arg.as_ptr(), EXECUTED, false);
         let data = reader.next().map(|sample| sample.data.to_vec()).unwrap_or_default();
         let word =
             |at: usize| u32::from_le_bytes([data[at], data[at + 1], data[at + 2], data[at + 3]]) as usize;
         assert_eq!((word(0), word(8), word(12), data.len()), (1, MOST, MOST + 100, n));
         assert!(data[HEAD..].iter().all(|byte| *byte == 7));
-        tap.tell(2, arg.as_ptr(), EXECUTED, None);
+        tap.tell(2, arg.as_ptr(), EXECUTED, false);
         assert!(reader.next().is_none(), "a command that is not described has no size, and is not told");
     }
 }

@@ -48,8 +48,13 @@ fn note(instance: &Instance) {
     instance.set_teller(context::executor());
 }
 
+/// Marks the instances told in this turn, and issues the wakes collected during the step.
+pub(crate) fn flush_wakes() {
+    context::flush_wakes(mark);
+}
+
 /// Marks all listed instances and notes the wakes. In the same turn.
-pub(crate) fn flush() {
+fn mark() {
     for at in 0..COUNT.replace(0) {
         let instance = TOLD.with(|told| told[at].replace(ptr::null()));
         // SAFETY: by the promise of `signal` it stays until this turn's end, and a thread that runs turns

@@ -4,7 +4,7 @@
 //! Invariant: every wire can be cut at any moment: callers inside finish on the old binding, later ones see
 //! UNBOUND.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use trocar_lcm_api::LinkDetail;
 use trocar_loader::convert::back;
@@ -18,11 +18,12 @@ use super::super::boundary::{
     Consumer, DEFAULT_DEADLINE_NS, ERR_BYTES, EventCell, EventSink, FnCell, Handler, InCell, InLink, Newest,
     OutCell, OutLink, Shape,
 };
-use super::super::connect::{MAILBOX_DEPTH, Passage, REPLY_CELLS, passing, target};
-use super::super::dynamic::PortSet;
-use super::super::inbox::{From, Inbox};
+use super::super::described::PortSet;
+use super::super::ends::Joined;
+use super::super::inbox::{From, Inbox, Party};
 use super::super::instance::Instance;
-use super::{Both, Carrier, Joined, are_together, inline};
+use super::super::passage::{MAILBOX_DEPTH, Passage, REPLY_CELLS, passing, target};
+use super::{Both, Carrier, INLINE, are_together};
 
 const NAME: &str = "heap";
 
@@ -89,7 +90,7 @@ impl OnHeap {
     }
 
     fn name(&self) -> &'static str {
-        if are_together(&self.client, &self.server) && !self.pinned { inline::NAME } else { NAME }
+        if are_together(&self.client, &self.server) && !self.pinned { INLINE } else { NAME }
     }
 }
 
@@ -109,14 +110,14 @@ impl Joined for OnHeap {
                 }
                 self.server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
                 self.client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
-                self.server.counters.keep_losses(commands_in);
-                self.client.counters.keep_losses(events_in);
+                self.server.counters.lose(commands_in.events, commands_in.lost());
+                self.client.counters.lose(events_in.events, events_in.lost());
                 commands_in.close(PEER_LOST);
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);
-                self.client.counters.lose(events_in, events_in.unexecuted() - before);
-                self.server.counters.lose(commands_in, commands_in.unexecuted());
-                commands_in.tell_toll(&self.server);
+                self.client.counters.lose(events_in.events, events_in.unexecuted() - before);
+                self.server.counters.lose(commands_in.events, commands_in.unexecuted());
+                commands_in.tell_toll(&*self.server);
             }
         }
     }
@@ -204,7 +205,7 @@ fn interfaces(both: &Both<'_>, binding: &Binding) -> Ends {
         Mailbox::new(depth, max_arg, binding.functions.len()),
         ReplyPool::new(REPLY_CELLS, max_ret, ERR_BYTES),
         binding.functions.iter().map(|(_, c)| from_set.commands[*c].clone()).collect(),
-        From::Component(Arc::downgrade(client)),
+        From::Component(Arc::downgrade(client) as Weak<dyn Party>),
         connection.options.deadline_ns.unwrap_or(0),
     );
     server.edit_inboxes(|all| all.push(commands_in.clone()));
@@ -214,7 +215,7 @@ fn interfaces(both: &Both<'_>, binding: &Binding) -> Ends {
     let events_in = Inbox::events(
         Mailbox::new(depth, max_payload, 0),
         binding.handlers.iter().map(|(h, _)| to_set.handlers[*h].clone()).collect(),
-        From::Component(Arc::downgrade(server)),
+        From::Component(Arc::downgrade(server) as Weak<dyn Party>),
     );
     client.edit_inboxes(|all| all.push(events_in.clone()));
 

@@ -6,16 +6,15 @@
 
 use trocar_model::Refusal;
 
+use super::super::ends::Joined;
 use super::heap::OnHeap;
-use super::{Both, Carrier, Joined, are_together};
-
-pub(super) const NAME: &str = "inline";
+use super::{Both, Carrier, INLINE, are_together};
 
 pub(super) struct Inline;
 
 impl Carrier for Inline {
     fn name(&self) -> &'static str {
-        NAME
+        INLINE
     }
 
     fn joins(&self, both: &Both<'_>) -> Result<(), String> {

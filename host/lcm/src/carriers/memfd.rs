@@ -12,9 +12,10 @@ use trocar_links::Card;
 use trocar_model::{ComponentId, Refusal};
 use trocar_rt::wake::Waker;
 
-use super::super::far::{Far, Half, NAME, Near, Tell};
+use super::super::ends::{Joined, Tell};
+use super::super::far::{Far, Half, NAME, Near};
 use super::super::instance::{Instance, Loss};
-use super::{Both, Carrier, Halves, Joined, OneEnd};
+use super::{Both, Carrier, Halves, OneEnd};
 
 pub(super) struct Memfd {
     /// `None` where this process does not listen for others.

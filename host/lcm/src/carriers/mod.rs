@@ -13,14 +13,17 @@ use std::sync::Arc;
 use tokio::sync::oneshot;
 use trocar_lcm_api::{HalfReport, LinkDetail};
 use trocar_links::Card;
-use trocar_model::{Binding, ComponentId, Connection, Link, Ports, Refusal};
+use trocar_model::{ComponentId, Connection, Link, Ports, Refusal};
 use trocar_rt::wake::Waker;
 
-use super::dynamic::PortSet;
-use super::far::{Here, Kin, Role, Tell};
+use super::described::PortSet;
+use super::ends::{Here, Joined, Kin, Role, Tell};
 use super::instance::{Instance, Loss};
 use inline::Inline;
 use memfd::Memfd;
+
+/// Name of the carrier of calls within one thread.
+const INLINE: &str = "inline";
 
 /// A connection with both ends in this process.
 pub(super) struct Both<'c> {
@@ -93,21 +96,6 @@ pub(super) trait Carrier: Send + Sync {
 
     /// Cuts its connections to other processes, and ends its threads.
     fn stop(&self) {}
-}
-
-/// Two ends of this process as a carrier has joined them.
-pub(super) trait Joined: Send + Sync {
-    /// Cuts the connection; waiting callers are answered.
-    fn cut(&self);
-
-    /// Tells whether this binding of these ports, the client's and the server's, would join it in just the
-    /// same way.
-    fn still_fits(&self, binding: &Binding, ports: (&PortSet, &PortSet)) -> bool;
-
-    fn is_stream(&self) -> bool;
-
-    /// The carrier's name and figures so far.
-    fn detail(&self) -> LinkDetail;
 }
 
 /// Connections of one carrier to other processes.

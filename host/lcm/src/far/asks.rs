@@ -13,24 +13,8 @@ use trocar_links::Session;
 use trocar_plugin_api::abi::{DEADLINE, Outcome, PEER_LOST};
 use trocar_rt::os;
 
+use super::super::boundary::{Asking, ReadAnswer};
 use super::words::Words;
-
-/// Answer of a server's process to a read.
-pub(crate) struct ReadAnswer {
-    pub(crate) outcome: i32,
-    pub(crate) stamp_ns: u64,
-    pub(crate) value: Vec<u8>,
-    pub(crate) text: String,
-}
-
-/// A peer that can be asked for the result of a read.
-pub(crate) trait Asking: Send + Sync {
-    /// Asks for the read at this place among the connection's functions and waits.
-    ///
-    /// # Errors
-    /// DEADLINE, or PEER_LOST when no answer can come any more.
-    fn ask(&self, index: u32, arg: &[u8], within_ns: u64) -> Result<ReadAnswer, Outcome>;
-}
 
 /// The questions of one link.
 pub(super) struct Asks {

@@ -4,109 +4,20 @@
 //! Invariant: rows and results are written by the thread that publishes a row of the state table, and that
 //! thread never waits; the state is written by the thread that publishes it; the statistics by the watchdog.
 
-use std::io;
-use std::os::fd::OwnedFd;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_loader::system;
-use trocar_rt::exclusive::TryCell;
 use trocar_rt::os;
-use trocar_rt::region::Region;
-use trocar_rt::segment::{Rows, Word};
+use trocar_rt::segment::Word;
 use trocar_rt::state::StateWriter;
 
 use super::super::boundary::{ERR_BYTES, Reader, read_published};
 use super::super::inbox::Position;
-use super::super::instance::Instance;
-use super::terms::of_rows;
+use super::super::instance::{Instance, ShownRows, View};
+use super::super::kept::Kept;
 
 /// Time between two publications of period statistics, ns: they are sums over many cycles.
 const STATISTICS_NS: u64 = 10_000_000;
-
-/// State of a server, in one word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u64)]
-pub(crate) enum Standing {
-    NotActive = 0,
-    Active = 1,
-    /// The server is removed, or about to be.
-    Gone = 2,
-}
-
-impl Standing {
-    pub(crate) fn of(word: u64) -> Standing {
-        match word {
-            1 => Standing::Active,
-            2 => Standing::Gone,
-            _ => Standing::NotActive,
-        }
-    }
-}
-
-/// A value that any thread writes anew; a thread that finds another one at it makes that one write once more.
-struct Kept<T> {
-    value: TryCell<T>,
-    missed: AtomicBool,
-}
-
-impl<T> Kept<T> {
-    fn new(value: T) -> Kept<T> {
-        Kept { value: TryCell::new(value), missed: AtomicBool::new(false) }
-    }
-
-    /// Returns after `f`, or that of another thread, has begun to write; that write began after this call.
-    /// Never waits.
-    fn write(&self, mut f: impl FnMut(&mut T)) {
-        if !self.attempt(&mut f) {
-            // Either this thread finds the place free now, or the thread that leaves it finds the mark.
-            self.missed.swap(true, Ordering::AcqRel);
-            self.attempt(&mut f);
-        }
-    }
-
-    fn attempt(&self, f: &mut impl FnMut(&mut T)) -> bool {
-        // Writes once more for each thread that came meanwhile.
-        loop {
-            let Some(mut value) = self.value.try_enter() else { return false };
-            f(&mut value);
-            drop(value);
-            if !self.missed.swap(false, Ordering::AcqRel) {
-                return true;
-            }
-        }
-    }
-}
-
-/// The rows of a server, for all clients that compute its reads themselves: one more copy per row, however
-/// many clients there are.
-pub(crate) struct ShownRows {
-    rows: Kept<Rows<StateWriter>>,
-    region: Arc<Region>,
-}
-
-impl ShownRows {
-    /// # Errors
-    /// The machine lacks that much memory, or a file descriptor.
-    pub(crate) fn create(server: &Instance) -> io::Result<Arc<ShownRows>> {
-        let (bytes, agreed) = of_rows(&server.info);
-        let rows = Rows::create(bytes, agreed)?;
-        let region = rows.region().ok_or_else(|| io::Error::other("rows without memory"))?;
-        Ok(Arc::new(ShownRows { rows: Kept::new(rows), region }))
-    }
-
-    pub(super) fn fd(&self) -> io::Result<OwnedFd> {
-        let fd = self.region.fd().ok_or_else(|| io::Error::other("memory without a file"))?;
-        fd.try_clone_to_owned()
-    }
-
-    /// Shows the newest row, if there is one. Real-time.
-    pub(crate) fn show(&self, server: &Instance) {
-        self.rows.write(|rows| {
-            rows.end.publish_with(|row| server.rows.latest(row).map(|info| (info.stamp_ns, info.tick)));
-        });
-    }
-}
 
 /// A read whose results are published.
 pub(super) struct Shown {
@@ -120,11 +31,11 @@ pub(super) struct Shown {
 }
 
 /// One client's view of a server.
-pub(crate) struct Face {
+pub(super) struct Face {
     standing: Word,
     /// Positions of the reads that the client computes itself.
     own: Vec<(Arc<Position>, Word)>,
-    pub(crate) rows: Option<Arc<ShownRows>>,
+    rows: Option<Arc<ShownRows>>,
     /// Published with rows of the state table.
     results: Option<Kept<Vec<Shown>>>,
     /// Published with the state.
@@ -164,9 +75,15 @@ impl Face {
         face.show_positions();
         Arc::new(face)
     }
+}
+
+impl View for Face {
+    fn rows(&self) -> Option<&Arc<ShownRows>> {
+        self.rows.as_ref()
+    }
 
     /// Shows the present positions of the reads that the client computes itself.
-    pub(crate) fn show_positions(&self) {
+    fn show_positions(&self) {
         for (position, word) in &self.own {
             loop {
                 let now = position.get();
@@ -181,7 +98,7 @@ impl Face {
 
     /// Shows the present state of the server. A thread that changes it comes here afterwards, so the last one
     /// to come shows the last change.
-    pub(crate) fn show_standing(&self, server: &Instance) {
+    fn show_standing(&self, server: &Instance) {
         loop {
             let now = server.standing();
             self.standing.set(now as u64);
@@ -194,7 +111,7 @@ impl Face {
     }
 
     /// Shows the present results of the reads. Real-time.
-    pub(crate) fn show_row(&self, server: &Instance) {
+    fn show_row(&self, server: &Instance) {
         if let Some(results) = &self.results {
             results.write(|shown| shown.iter_mut().for_each(|read| read.publish(server)));
         }
@@ -202,7 +119,7 @@ impl Face {
 
     /// Shows the present statistics, unless they were shown a moment ago. Never on a thread that steps: they
     /// are sums over many cycles.
-    pub(crate) fn show_figures(&self, server: &Instance) {
+    fn show_figures(&self, server: &Instance) {
         let Some(figures) = &self.figures else { return };
         figures.write(|figures| {
             let now_ns = os::now_ns();
@@ -238,32 +155,5 @@ impl Shown {
             // The outcome is the part that a step of the reader looks at.
             Some((read.stamp_ns, read.outcome as u64))
         });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-
-    use std::sync::atomic::AtomicU64;
-
-    use super::*;
-
-    /// The last value published is the last one shown, whichever thread was writing meanwhile.
-    #[test]
-    fn what_was_published_before_a_write_is_seen_after_it() {
-        let (kept, published, shown) = (Kept::new(()), AtomicU64::new(0), AtomicU64::new(0));
-        let show = || kept.write(|()| shown.store(published.load(Ordering::SeqCst), Ordering::SeqCst));
-        std::thread::scope(|scope| {
-            for _ in 0..2 {
-                scope.spawn(|| {
-                    for _ in 0..20_000 {
-                        published.fetch_add(1, Ordering::SeqCst);
-                        show();
-                    }
-                });
-            }
-        });
-        assert_eq!(shown.into_inner(), 40_000, "the last one was not shown");
     }
 }

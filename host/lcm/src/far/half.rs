@@ -6,33 +6,22 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::oneshot;
 use trocar_lcm_api::{HalfReport, LinkDetail};
 use trocar_links::{Card, Session};
 use trocar_model::{Connection, End, PortId, Ports, Proxy, Refusal};
 
-use super::super::connect::passing;
-use super::super::dynamic::PortSet;
+use super::super::described::PortSet;
+use super::super::ends::{Here, Kin, Role, Tell};
 use super::super::instance::Loss;
-use super::kin::Kin;
+use super::super::passage::passing;
 use super::missed::Missed;
 use super::terms::{Terms, Way};
-use super::wires::{ClientWires, Here, ServerWires};
+use super::wires::{ClientWires, ServerWires};
 
 /// Time a server's process may take to answer before it is asked again.
 const ANSWER: Duration = Duration::from_secs(1);
 /// Carrier of such connections.
 pub(crate) const CARRIER: &str = "memfd";
-
-/// The end of the connection that is here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Role {
-    Client,
-    Server,
-}
-
-/// Is told once the result of the first try to link; on failure the reason.
-pub(crate) type Tell = oneshot::Sender<Result<(), String>>;
 
 pub(crate) struct Half {
     pub(super) connection: Connection,

@@ -7,11 +7,6 @@ use std::os::unix::fs::MetadataExt;
 
 use trocar_model::ClassInfo;
 
-use super::super::boundary::OwnClass;
-
-/// Looks for the class of a connection's server in this process.
-pub(crate) type Kin = Box<dyn Fn() -> Option<OwnClass> + Send + Sync>;
-
 /// Identifies the code of a class: the same text in two processes means the same code. `None` if it is
 /// unknown.
 pub(super) fn code_of(class: &ClassInfo) -> Option<String> {

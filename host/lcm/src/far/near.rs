@@ -17,16 +17,16 @@ use trocar_rt::segment::Agreed;
 use trocar_rt::stream::{FarPools, FarViews};
 use trocar_rt::wake::Waker;
 
-use super::super::carriers::Joined;
-use super::super::connect::{passing, target};
-use super::super::dynamic::PortSet;
+use super::super::described::PortSet;
+use super::super::ends::{Here, Joined};
 use super::super::instance::Loss;
+use super::super::passage::{passing, target};
 use super::NAME;
 use super::asks::Asks;
 use super::missed::Missed;
 use super::serving::Desk;
 use super::terms::{Terms, Way, commands};
-use super::wires::{ClientWires, Here, Offer, Offered, ServerWires, header_bytes};
+use super::wires::{ClientWires, Offer, Offered, ServerWires, header_bytes};
 
 /// Connections of this kind in one process.
 pub(crate) struct Near {

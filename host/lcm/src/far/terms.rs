@@ -12,7 +12,7 @@ use trocar_model::{
 use trocar_rt::segment::{Agreed, CallShape, StreamShape};
 
 use super::super::boundary::ERR_BYTES;
-use super::super::connect::{MAILBOX_DEPTH, Passage, REPLY_CELLS};
+use super::super::passage::{MAILBOX_DEPTH, Passage, REPLY_CELLS};
 
 pub(crate) struct Terms {
     pub(super) hash: u64,

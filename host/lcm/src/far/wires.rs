@@ -7,13 +7,13 @@ mod client;
 
 use std::io;
 use std::os::fd::OwnedFd;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
-use std::sync::{Arc, Weak};
 
 use trocar_lcm_api::LinkDetail;
 use trocar_loader::convert::back;
 use trocar_loader::system;
-use trocar_model::{Binding, ComponentId, Connection, PortType, Ports};
+use trocar_model::{Binding, Connection, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::segment::{Agreed, ServedCalls, Stream};
 use trocar_rt::stream::{FarPools, StreamCounters, StreamWriter};
@@ -22,38 +22,15 @@ use trocar_rt::wake::Waker;
 use super::super::boundary::{
     Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Reader, Shape,
 };
-use super::super::dynamic::PortSet;
-use super::super::executor::Executor;
-use super::super::inbox::{Check, From, Inbox};
-use super::super::instance::{Instance, Misuse};
-use super::face::{Face, Shown, ShownRows};
+use super::super::described::PortSet;
+use super::super::ends::Here;
+use super::super::inbox::{Check, Inbox};
+use super::super::instance::{Instance, Misuse, ShownRows, View};
+use super::face::{Face, Shown};
 use super::serving::{Desk, Served};
 use super::terms::{Reading, Way, commands, size};
 
 pub(super) use client::{ClientWires, Own};
-
-/// A component of this process and its thread.
-#[derive(Clone)]
-pub(crate) struct Here {
-    pub(crate) instance: Arc<Instance>,
-    pub(crate) executor: Arc<Executor>,
-    /// The component at the other end, if that is in this process, too.
-    pub(crate) other: Option<Weak<Instance>>,
-}
-
-impl Here {
-    pub(crate) fn new(instance: Arc<Instance>, executor: Arc<Executor>) -> Here {
-        Here { instance, executor, other: None }
-    }
-
-    /// Source of the entries in a queue of this end.
-    fn from(&self, other: &ComponentId) -> From {
-        match &self.other {
-            Some(other) => From::Component(other.clone()),
-            None => From::Far(other.clone()),
-        }
-    }
-}
 
 /// The server's memory, before the client has it.
 pub(super) enum Offer {
@@ -230,7 +207,7 @@ impl ServerWires {
             cell.clone()
         });
         let events = events.collect();
-        server.edit_faces(|faces| faces.push(face.clone()));
+        server.edit_views(|views| views.push(face.clone()));
         // After the wiring: rows published from now on are shown by the thread that publishes them.
         server.show_row();
         face.show_positions();
@@ -260,12 +237,14 @@ impl ServerWires {
                         sinks.retain(|s| !matches!(&**s, EventSink::Far(h) if Arc::ptr_eq(&h.to, to)));
                     });
                 }
-                server.edit_faces(|faces| faces.retain(|f| !Arc::ptr_eq(f, face)));
+                server.edit_views(|views| {
+                    views.retain(|view| !std::ptr::addr_eq(Arc::as_ptr(view), Arc::as_ptr(face)))
+                });
                 server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
-                server.counters.keep_losses(commands_in);
+                server.counters.lose(commands_in.events, commands_in.lost());
                 commands_in.close(PEER_LOST);
-                server.counters.lose(commands_in, commands_in.unexecuted());
-                commands_in.tell_toll(server);
+                server.counters.lose(commands_in.events, commands_in.unexecuted());
+                commands_in.tell_toll(&**server);
                 here.executor.remove_bell(bell.clone());
             }
         }

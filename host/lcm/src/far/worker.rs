@@ -16,15 +16,16 @@ use trocar_rt::os;
 use trocar_rt::segment::Agreed;
 use trocar_rt::stream::{FarPools, FarViews};
 
-use super::super::boundary::FarServer;
-use super::super::instance::Loss;
-use super::asks::{Asks, ReadAnswer};
-use super::face::ShownRows;
-use super::half::{Half, Linked, Role, Wires};
+use super::super::boundary::{FarServer, ReadAnswer};
+use super::super::ends::Role;
+use super::super::instance::{Loss, ShownRows};
+use super::asks::Asks;
+use super::half::{Half, Linked, Wires};
 use super::kin::code_of;
 use super::manager::{Halves, Todo, Todos, all, locked};
 use super::pools::{Untold, all_came, map};
 use super::serving::{Desk, Question};
+use super::terms::of_rows;
 use super::wires::{ClientWires, Offer, Own, ServerWires, header_bytes};
 use super::words::{Pool, Words};
 
@@ -93,7 +94,11 @@ fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedF
     if !reads || code.is_none() || code != code_of(&server.info) {
         return None;
     }
-    let rows = server.rows_for_others().and_then(|rows| Ok((rows.clone(), rows.fd()?)));
+    let make = || {
+        let (bytes, agreed) = of_rows(&server.info);
+        ShownRows::create(bytes, agreed)
+    };
+    let rows = server.shown_rows().map_or_else(make, Ok).and_then(|rows| Ok((rows.clone(), rows.fd()?)));
     let stem = "its rows cannot be shown to other processes, so that their steps cannot call reads of it with an argument";
     rows.inspect_err(|e| server.warn_about(stem, &format!(": {e}"))).ok()
 }

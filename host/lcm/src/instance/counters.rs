@@ -7,8 +7,6 @@ use std::sync::{Mutex, PoisonError};
 
 use trocar_model::plain::harmless;
 
-use super::super::inbox::Inbox;
-
 /// An action of a component or its callers that was refused or went wrong: counted at once, reported by the
 /// watchdog.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -158,16 +156,9 @@ impl Counters {
         Misuse::ALL.map(|what| self.misuses[what as usize].load(Ordering::Relaxed))
     }
 
-    /// Takes over the losses of a queue that goes away; they still count.
-    pub(crate) fn keep_losses(&self, inbox: &Inbox) {
-        let stats = inbox.mailbox.stats();
-        let lost = stats.rejected + stats.dropped.saturating_sub(stats.superseded);
-        self.lost_before[usize::from(inbox.events)].fetch_add(lost, Ordering::Relaxed);
-    }
-
-    /// Counts entries that never ran and are thrown out with their queue.
-    pub(crate) fn lose(&self, inbox: &Inbox, n: u64) {
-        self.lost_before[usize::from(inbox.events)].fetch_add(n, Ordering::Relaxed);
+    /// Counts so many commands, or events, of a queue that goes away: lost in it, or thrown out with it.
+    pub(crate) fn lose(&self, events: bool, n: u64) {
+        self.lost_before[usize::from(events)].fetch_add(n, Ordering::Relaxed);
     }
 
     pub(super) fn lost_before(&self) -> [u64; 2] {

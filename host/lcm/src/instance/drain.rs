@@ -13,9 +13,9 @@ use trocar_rt::mailbox::EntryHead;
 use trocar_rt::os;
 
 use super::super::boundary::{
-    EntryError, as_bytes, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
+    EntryError, as_bytes, inside, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
 };
-use super::super::dynamic::Goal;
+use super::super::described::Goal;
 use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
 use super::super::supervise::{Entry, Misdeed};
 use super::super::{context, pending};
@@ -86,8 +86,7 @@ impl Instance {
     pub(crate) fn queue_losses(&self) -> [u64; 2] {
         let mut lost = self.counters.lost_before();
         for inbox in self.inboxes.enter().iter() {
-            let s = inbox.mailbox.stats();
-            lost[usize::from(inbox.events)] += s.rejected + s.dropped.saturating_sub(s.superseded);
+            lost[usize::from(inbox.events)] += inbox.lost();
         }
         lost
     }
@@ -134,7 +133,7 @@ impl Instance {
                     (ENTRY_EVENT, Some(handler)) => {
                         self.deliver(entered, handler, payload);
                         // Published here, as no step follows.
-                        if !pending::later(self) {
+                        if !self.owes_row() {
                             self.publish_state(entered);
                         }
                     }
@@ -183,12 +182,12 @@ impl Instance {
     /// Runs a handler inside the `emit` of another component of the same thread. Real-time.
     #[inline]
     pub(crate) fn handle(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
-        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let before = inside::swap_component(Arc::as_ptr(&self.host));
         self.deliver(entered, handler, payload);
-        if !pending::later(self) {
+        if !self.owes_row() {
             self.publish_state(entered);
         }
-        context::swap_component(before);
+        inside::swap_component(before);
     }
 
     #[inline]
@@ -261,20 +260,20 @@ impl Instance {
         // The reason of a panic is kept also where the caller wants none.
         let mut own = entered.err_buf();
         let err = if err.is_null() { &raw mut own } else { err };
-        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let before = inside::swap_component(Arc::as_ptr(&self.host));
         let watched = self.watch.begin_command(command);
         let rounding = look_at_rounding(entered);
         let status = entered.command(command, arg, ret, err);
         self.keep_rounding(entered, rounding);
         self.watch.leave(watched);
-        context::swap_component(before);
+        inside::swap_component(before);
         self.counters.command();
         if let Some(tap) = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened()) {
-            tap.tell(command, arg, plain_outcome(status), Some(self));
+            tap.tell(command, arg, plain_outcome(status), self.object.is_kept_here());
         }
         if status == STATUS_PANICKED {
             self.command_panicked(entered, command, err);
-        } else if !pending::later(self) {
+        } else if !self.owes_row() {
             self.publish_state(entered);
         }
         if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }

@@ -9,15 +9,15 @@ use std::sync::atomic::{AtomicPtr, Ordering};
 
 use trocar_model::{Execution, ExecutionModel, OnFailure, Safety, Wake};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick, WOULD_BLOCK};
+use trocar_rt::executor::Pace;
 use trocar_rt::os;
 use trocar_rt::wake::Waker;
 
-use super::super::boundary::HostContext;
-use super::super::boundary::late;
+use super::super::boundary::{HostContext, inside, late, told};
 use super::super::context::{self, ExecutorId};
-use super::super::executor::{Executor, Pace};
-use super::super::pending;
+use super::super::pending::{self, Owed, Owes};
 use super::super::supervise::{Entry, Misdeed, Suspicion};
+use super::super::thread::Thread;
 use super::{Entered, Instance, Misuse};
 
 /// Longest stay inside a component's code before it counts as unresponsive, ns; five periods when those are
@@ -45,7 +45,7 @@ pub(super) struct Terms {
 
 impl Terms {
     /// Terms of `execution` on a thread.
-    pub(super) fn of(execution: &Execution, thread: &Executor) -> Terms {
+    pub(super) fn of(execution: &Execution, thread: &Thread) -> Terms {
         // A filter steps when new data have come, not on its thread's grid.
         let period_ns = match thread.pace {
             Pace::Grid { period_ns, .. } if execution.stream_of.is_none() => period_ns,
@@ -88,17 +88,17 @@ impl Outer {
     /// Resumes that activity, out of the component of `host`.
     fn resume(self, host: &Arc<HostContext>) {
         // The callbacks were left in another order than entered: the earlier component may be gone.
-        let mine = std::ptr::eq(context::swap_component(std::ptr::null()), Arc::as_ptr(host));
+        let mine = std::ptr::eq(inside::swap_component(std::ptr::null()), Arc::as_ptr(host));
         let stepping = mine && self.stepping;
         if mine {
-            context::swap_component(self.component.into_inner());
+            inside::swap_component(self.component.into_inner());
         }
         if !stepping {
             pending::publish();
         }
         context::set_stepping(stepping);
         if !stepping {
-            context::flush_wakes();
+            told::flush_wakes();
         }
     }
 }
@@ -236,9 +236,9 @@ impl Instance {
     /// Marks this component as the one whose code runs on this thread, inside `entry`, while `f` runs.
     pub(crate) fn as_running<R>(&self, entry: Entry, f: impl FnOnce() -> R) -> R {
         let watched = self.watch.begin(entry, if entry.runs() { 0 } else { os::now_ns() });
-        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let before = inside::swap_component(Arc::as_ptr(&self.host));
         let result = f();
-        context::swap_component(before);
+        inside::swap_component(before);
         self.watch.leave(watched);
         result
     }
@@ -246,9 +246,9 @@ impl Instance {
     /// Makes one step: first the queued entries, then the component's own step. Real-time.
     pub(crate) fn step(&self, entered: &mut Entered<'_>, tick: &Tick) -> Stepped {
         let watched = self.watch.begin(Entry::Step, tick.now_ns);
-        let before = context::swap_component(Arc::as_ptr(&self.host));
+        let before = inside::swap_component(Arc::as_ptr(&self.host));
         context::set_step_began(tick.now_ns);
-        let suspicion = Suspicion::before(self);
+        let suspicion = Suspicion::before(&self.watch);
         self.drain(entered);
         let ran = self.is_active();
         let failed = if ran { entered.step(tick).err() } else { None };
@@ -258,13 +258,13 @@ impl Instance {
             self.watch.misdeed(Misdeed::Rounding);
         }
         if let Some(suspicion) = suspicion {
-            suspicion.after(self);
+            suspicion.after(&self.watch);
         }
         match failed {
             None => self.publish_row(entered, end_ns),
             Some(e) => self.fail(entered, "step", &e),
         }
-        context::swap_component(before);
+        inside::swap_component(before);
         self.watch.leave(watched);
         self.pay_safe(entered);
         Stepped { end_ns, ran }
@@ -274,6 +274,32 @@ impl Instance {
     pub(crate) fn publish_state(&self, entered: &mut Entered<'_>) {
         if self.state_bytes > 0 {
             self.publish_row(entered, os::now_ns());
+        }
+    }
+
+    /// Defers its row; false where it has to be published now. For the thread that is inside.
+    #[inline]
+    pub(super) fn owes_row(&self) -> bool {
+        // Set only by the thread that runs it: a thread that is inside and finds it set is that thread.
+        self.state_bytes == 0 || self.owed.get() || self.comes_to_owe()
+    }
+
+    #[inline(never)]
+    fn comes_to_owe(&self) -> bool {
+        let own_thread_only = !self.is_passive() && !self.is_called_back();
+        if !context::stepping() || !own_thread_only || context::executor() != self.executor_id() {
+            return false;
+        }
+        let Some(me) = self.me() else { return false };
+        pending::enlist(me);
+        true
+    }
+
+    /// Publishes its row, and all others this thread owes, if this thread owes it.
+    #[inline]
+    pub(crate) fn publish_if_owed(&self) {
+        if self.owed.get() && context::executor() == self.executor_id() {
+            pending::publish();
         }
     }
 
@@ -307,7 +333,7 @@ impl Instance {
     pub(crate) fn serve(&self) {
         loop {
             if let Some(mut entered) = self.object.try_enter() {
-                let before = context::swap_component(Arc::as_ptr(&self.host));
+                let before = inside::swap_component(Arc::as_ptr(&self.host));
                 let rounding = os::rounding();
                 self.drain(&mut entered);
                 // No step of its own follows to check the mode.
@@ -315,7 +341,7 @@ impl Instance {
                     os::reset_rounding(rounding);
                     self.watch.misdeed(Misdeed::RoundingInCall);
                 }
-                context::swap_component(before);
+                inside::swap_component(before);
                 self.pay_safe(&mut entered);
                 drop(entered);
                 self.drain_if_passive();
@@ -372,7 +398,7 @@ impl Instance {
         inner.cycle += 1;
         inner.last_begin_ns = now_ns;
         inner.in_callback = Some(Outer {
-            component: AtomicPtr::new(context::swap_component(Arc::as_ptr(&self.host)).cast_mut()),
+            component: AtomicPtr::new(inside::swap_component(Arc::as_ptr(&self.host)).cast_mut()),
             stepping: context::stepping(),
             watched: self.watch.begin(Entry::Callback, now_ns),
         });
@@ -410,6 +436,18 @@ impl Instance {
         // Changed and not only read: see `Mark`.
         if self.signalled.take() {
             self.signal();
+        }
+    }
+}
+
+impl Owes for Instance {
+    fn owed(&self) -> &Owed {
+        &self.owed
+    }
+
+    fn publish_owed(&self) {
+        if let Some(mut entered) = self.object.try_enter() {
+            self.publish_state(&mut entered);
         }
     }
 }

@@ -8,11 +8,12 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 
 use trocar_loader::system;
-use trocar_model::{Health, State};
+use trocar_model::{ComponentId, Health, State};
 use trocar_rt::os;
 
 use super::super::boundary::EntryError;
 use super::super::gate::{pack, unpack};
+use super::super::inbox::Party;
 use super::super::realtime::Settings;
 use super::super::supervise::Moment;
 use super::super::{News, Report, context};
@@ -180,14 +181,14 @@ impl Instance {
 
     pub(crate) fn warnings(&self) -> Vec<String> {
         // Read each time: helping threads may still be settling.
-        let of_thread = self.thread.get().map_or_else(Vec::new, |settings| settings.warnings());
+        let of_thread = self.settings.get().map_or_else(Vec::new, |settings| settings.warnings());
         let own = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
         of_thread.into_iter().chain(own.iter().cloned()).collect()
     }
 
     /// Sets the settings of its thread; once.
     pub(crate) fn set_thread(&self, settings: Arc<Settings>) {
-        let _ = self.thread.set(settings);
+        let _ = self.settings.set(settings);
     }
 
     /// Forgets the warnings about an instance that is no more.
@@ -326,5 +327,15 @@ impl Instance {
             skipped: s.skipped,
             overruns: s.overruns,
         }
+    }
+}
+
+impl Party for Instance {
+    fn id(&self) -> &ComponentId {
+        &self.id
+    }
+
+    fn warn_about(&self, about: &str, how: &str) {
+        Instance::warn_about(self, about, how);
     }
 }

@@ -14,13 +14,13 @@ use trocar_model::{
 use trocar_rt::os;
 
 use super::super::Report;
+use super::super::boundary::EntryResult;
 use super::super::executor::Executor;
 use super::super::instance::{Entered, Instance};
 use super::super::lifecycle::{
-    Entry as Done, component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure,
-    undo_start,
+    component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure, undo_start,
 };
-use super::super::supervise::{Entry, LEAVE_NS, Manners, Strangers, Ward, give_up};
+use super::super::supervise::{Entry, LEAVE_NS, Manners, Strangers, Ward, cannot_go_on, give_up};
 use super::{LocalLcm, Slot};
 
 fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refusal {
@@ -43,6 +43,16 @@ const STRAYS: &str = "threads of its own still run";
 const LOOK: Duration = Duration::from_millis(10);
 /// A moment on the monotonic clock that never comes, ns.
 const NEVER_NS: u64 = u64::MAX / 4;
+
+/// Keeps a component until the process ends.
+fn retire(instance: &Arc<Instance>, why: &str) {
+    instance.hub.retire(instance.number, &instance.id, instance.clone(), why);
+}
+
+/// Ends the process, or leaves it unfit, after a thread of components broke down.
+fn broken(member: &Instance, why: String) {
+    cannot_go_on(&member.hub, why);
+}
 
 impl LocalLcm {
     pub(super) async fn create(
@@ -83,8 +93,15 @@ impl LocalLcm {
         let executor = self.executor_for(&id, &execution)?;
         let number = self.next_number.fetch_add(1, Ordering::Relaxed);
         let class_info = component.class.clone();
-        let made =
-            Instance::new(number, id.clone(), class_info, class, self.hub.clone(), &execution, &executor.0);
+        let made = Instance::new(
+            number,
+            id.clone(),
+            class_info,
+            class,
+            (self.hub.clone(), self.remains.clone()),
+            &execution,
+            executor.0.thread(),
+        );
         let made = match made {
             Ok(made) => made,
             Err(no_room) => {
@@ -167,7 +184,7 @@ impl LocalLcm {
             }
             return Ok((slot.executor, false));
         }
-        Executor::spawn(id.component.as_str(), execution, &self.memory)
+        Executor::spawn(id.component.as_str(), execution, &self.memory, broken)
             .map(|e| (e, true))
             .map_err(|e| Refusal::NoThread { id: id.clone(), why: e.to_string() })
     }
@@ -193,12 +210,13 @@ impl LocalLcm {
             let fits = stands == from_state && stands != State::Fault;
             (stands, fits.then(|| configure(instance, entered, &given, former.as_deref(), to_state)))
         };
-        let undo =
-            move |instance: &Instance, entered: &mut Entered<'_>, (from, done): (State, Option<Done>)| {
-                if let Some(Ok(())) = done {
-                    undo_configure(instance, entered, before.as_deref(), from);
-                }
-            };
+        let undo = move |instance: &Instance,
+                         entered: &mut Entered<'_>,
+                         (from, done): (State, Option<EntryResult>)| {
+            if let Some(Ok(())) = done {
+                undo_configure(instance, entered, before.as_deref(), from);
+            }
+        };
         let (stands, done) = self.inside_or(&slot, Entry::Configure, deadline, work, undo).await?;
         let Some(done) = done else {
             let why = format!("it was {from_state} when this was decided");
@@ -257,7 +275,7 @@ impl LocalLcm {
         };
         let undo = move |instance: &Instance,
                          entered: &mut Entered<'_>,
-                         (from, done): (State, Option<Done>)| match verb {
+                         (from, done): (State, Option<EntryResult>)| match verb {
             _ if done.is_none() => {}
             Verb::Start | Verb::Resume => undo_start(instance, entered, from),
             // There is no way back to the former instance; the new one does not run, and that was reported.
@@ -396,14 +414,14 @@ impl LocalLcm {
         let number = slot.instance.number;
         let (tell, told) = oneshot::channel();
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        // Done whenever its thread comes to it, also long after the remover has given up.
+        // EntryResult whenever its thread comes to it, also long after the remover has given up.
         slot.executor.submit(move |crew| {
             crew.members.retain(|m| m.instance.number != number);
             end(&ward, crew.members.is_empty());
             // Otherwise the remover looks for such threads, and gives them time to end.
             let late = tell.send(()).is_err();
             if late && !Strangers::look().left_behind(&ward).is_empty() {
-                ward.instance.hub.bury(ward.instance.clone(), STRAYS);
+                retire(&ward.instance, STRAYS);
             }
         });
         let done = tokio::time::timeout_at(patience.into(), told).await.is_ok();
@@ -423,7 +441,7 @@ impl LocalLcm {
         slot.instance.look_at_ports();
         if done && let Some(left) = self.leftovers(&slot).await {
             // These threads may hold what the host gave the component.
-            self.hub.bury(slot.instance, STRAYS);
+            retire(&slot.instance, STRAYS);
             report.warnings.push(left);
         }
         Ok(report)
@@ -477,7 +495,7 @@ fn end(ward: &Ward, alone: bool) {
     // for ever.
     let until_ns = if alone { NEVER_NS } else { os::now_ns() + HUNG.as_nanos() as u64 };
     let Some(mut entered) = instance.object.enter_until(until_ns) else {
-        instance.hub.bury(instance.clone(), "another thread has not come back out of it");
+        retire(instance, "another thread has not come back out of it");
         return;
     };
     let manners = Manners::before(instance);
@@ -490,7 +508,7 @@ fn end(ward: &Ward, alone: bool) {
         instance.pay_safe(&mut entered);
         instance.close();
         if outlasts(ward, alone) {
-            instance.hub.bury(instance.clone(), STRAYS);
+            retire(instance, STRAYS);
         } else if instance.destroy(&mut entered) {
             // A hanging cycle of another component may keep these slots for long; it must not keep frames of
             // others.

@@ -14,7 +14,7 @@ use trocar_model::{Connection, Link, Ports, Refusal, bindings, idle_connection};
 use super::super::Report;
 use super::super::boundary::OwnClass;
 use super::super::carriers::OneEnd;
-use super::super::far::{Kin, Role};
+use super::super::ends::{Kin, Role};
 use super::super::instance::Loss;
 use super::LocalLcm;
 

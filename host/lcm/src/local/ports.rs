@@ -13,7 +13,7 @@ use trocar_model::{ComponentId, State};
 use trocar_rt::wake::Waker;
 use trocar_rt::{house, os};
 
-use super::super::inbox::Inbox;
+use super::super::inbox::{Inbox, Party};
 use super::super::instance::Instance;
 use super::super::supervise::Entry;
 use super::super::{News, dynamic};
@@ -88,7 +88,7 @@ impl LocalLcm {
             }
             self.lock_pools(&instance);
             instance.full_queues(now_ns).iter().for_each(|inbox| tell_full(&instance, inbox));
-            instance.queues().iter().for_each(|inbox| inbox.tell_toll(&instance));
+            instance.queues().iter().for_each(|inbox| inbox.tell_toll(&*instance));
             in_use += instance.reclaim();
         }
         in_use += self.reclaim_left();
@@ -98,7 +98,7 @@ impl LocalLcm {
     /// Drops what removed components and their remains hold of others, if no cycle looks at it any more;
     /// returns the number of those where one does.
     fn reclaim_left(&self) -> usize {
-        self.reclaim_leaving() + self.hub.remains.reclaim()
+        self.reclaim_leaving() + self.remains.reclaim()
     }
 
     fn reclaim_leaving(&self) -> usize {
@@ -164,10 +164,10 @@ fn tell_full(to: &Instance, inbox: &Inbox) {
         true => ("events", format!(": {lost} so far were lost, as they came faster than its handlers ran")),
         false => ("commands", format!(": {lost} so far were refused, as they came faster than they ran")),
     };
-    let say = |who: &Instance, stem: String| who.warn_about(&stem, &why);
+    let say = |who: &dyn Party, stem: String| who.warn_about(&stem, &why);
     say(to, format!("its queue for {what} from {name} was full"));
     if let Some(from) = from {
-        say(&from, format!("it flooded {} with {what}", to.id));
+        say(&*from, format!("it flooded {} with {what}", to.id));
     }
 }
 

@@ -11,8 +11,7 @@ use trocar_rt::mailbox::{EntryHead, Mailbox};
 
 use super::super::boundary::{EventCell, EventSink, Tap};
 use super::super::instance::Instance;
-use super::super::local::LocalLcm;
-use super::{misfit, wrong_kind};
+use super::{Shows, misfit, wrong_kind};
 
 /// Events that may wait between two looks.
 const DEPTH: usize = 256;
@@ -64,11 +63,11 @@ struct Drained {
 }
 
 impl Event {
-    pub(super) fn open(lcm: &LocalLcm, member: &MemberId) -> Result<Event, Refusal> {
-        let instance = lcm.instance(&member.port.component)?;
+    pub(super) fn open(lcm: &impl Shows, member: &MemberId) -> Result<Event, Refusal> {
+        let instance = lcm.component(&member.port.component)?;
         let key = (instance.number, member.clone());
         let holds = |shared: &SharedEvent| !shared.is_over();
-        let shared = lcm.outside.events.join(key, holds, || SharedEvent::open(instance.clone(), member))?;
+        let shared = lcm.outside().events.join(key, holds, || SharedEvent::open(instance.clone(), member))?;
         let (first, told) = shared.listen();
         let is_over = shared.over.load(Ordering::Acquire);
         Ok(Event { told, first, last: first, is_over, _shared: shared })

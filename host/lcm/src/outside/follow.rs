@@ -12,7 +12,7 @@ use trocar_plugin_api::rate::RateLimit;
 use trocar_rt::os;
 
 use super::super::instance::Instance;
-use super::super::local::LocalLcm;
+use super::Shows;
 use super::event::Event;
 use super::output::{Output, Want};
 
@@ -37,7 +37,10 @@ enum Feed {
 }
 
 /// Opens every selection, or none, and follows them until the receiver is dropped.
-pub(crate) fn subscribe(lcm: &LocalLcm, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
+pub(crate) fn subscribe(
+    lcm: &impl Shows,
+    selections: Vec<Selection>,
+) -> Result<mpsc::Receiver<Item>, Refusal> {
     let feeds = selections
         .iter()
         .map(|s| open(lcm, s).map(|feed| (s.path.clone(), feed)))
@@ -56,12 +59,12 @@ pub(crate) fn subscribe(lcm: &LocalLcm, selections: Vec<Selection>) -> Result<mp
     Ok(told)
 }
 
-fn open(lcm: &LocalLcm, selection: &Selection) -> Result<Feed, Refusal> {
+fn open(lcm: &impl Shows, selection: &Selection) -> Result<Feed, Refusal> {
     let path = selection.path.as_str();
     match path.split('/').count() {
         2 => {
-            let news = lcm.news_receiver();
-            Ok(Feed::State { instance: lcm.instance(&ComponentId::parse(path)?)?, news })
+            let news = lcm.news();
+            Ok(Feed::State { instance: lcm.component(&ComponentId::parse(path)?)?, news })
         }
         3 => {
             let port = PortId::parse(path)?;

@@ -10,8 +10,12 @@ mod output;
 mod read;
 mod shared;
 
+use std::sync::Arc;
+
 use serde_json::Value;
-use trocar_model::{MemberId, Refusal, Type, ValueError, decode};
+use tokio::sync::broadcast;
+use trocar_lcm_api::News;
+use trocar_model::{ComponentId, MemberId, Refusal, Type, ValueError, decode};
 
 use super::instance::Instance;
 pub(super) use follow::subscribe;
@@ -23,6 +27,17 @@ use shared::Shared;
 pub(super) struct Outside {
     outputs: Shared<(u32, String, bool), output::SharedOutput>,
     events: Shared<(u32, MemberId), event::SharedEvent>,
+}
+
+/// What is looked at from outside: the components of this process and their news.
+pub(super) trait Shows {
+    /// # Errors
+    /// There is no such component.
+    fn component(&self, id: &ComponentId) -> Result<Arc<Instance>, Refusal>;
+
+    fn outside(&self) -> &Outside;
+
+    fn news(&self) -> broadcast::Receiver<News>;
 }
 
 /// Sentence about a value that does not fit: its bytes come from the plugin, and so does the error.

@@ -17,9 +17,8 @@ use trocar_rt::stream::{Meta, Payload, Queue, StreamReader, stream_link};
 
 use super::super::boundary::{Consumer, OUTSIDE, OutCell, OutLink};
 use super::super::instance::Instance;
-use super::super::local::LocalLcm;
 use super::super::thumbnail;
-use super::shown;
+use super::{Shows, shown};
 
 /// Most bytes of a frame that are handed out: a message of the GCM holds somewhat more.
 const MOST_FRAME_BYTES: usize = 24 << 20;
@@ -83,8 +82,8 @@ pub(super) struct Shown {
 }
 
 impl Output {
-    pub(super) fn open(lcm: &LocalLcm, port: &PortId, want: Want) -> Result<Output, Refusal> {
-        let instance = lcm.instance(&port.component)?;
+    pub(super) fn open(lcm: &impl Shows, port: &PortId, want: Want) -> Result<Output, Refusal> {
+        let instance = lcm.component(&port.component)?;
         let cell = cell_of(&instance, port)?;
         let Some(passing) = cell.passing() else {
             return Err(Refusal::NotImplemented {
@@ -96,7 +95,7 @@ impl Output {
         let key = (instance.number, port.port.to_string(), of_frames);
         let holds = |shared: &SharedOutput| Arc::ptr_eq(&shared.cell, &cell) && cell.has(&shared.link);
         let make = || SharedOutput::open(instance.clone(), port, &cell, &passing, of_frames).map(Arc::new);
-        let shared = lcm.outside.outputs.join(key, holds, make)?;
+        let shared = lcm.outside().outputs.join(key, holds, make)?;
         *shared.wants().entry(want).or_default() += 1;
         let before_seq = cell.seq.load(Ordering::Relaxed);
         Ok(Output { shared, want, before_seq, look: 0, last_seq: 0 })

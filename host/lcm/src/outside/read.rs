@@ -8,24 +8,23 @@ use trocar_model::{ComponentId, PortId, Refusal};
 use trocar_rt::os;
 
 use super::super::instance::Instance;
-use super::super::local::LocalLcm;
 use super::super::rows;
 use super::output::{Output, Want};
-use super::{not_shown, shown};
+use super::{Shows, not_shown, shown};
 
 /// Time between two looks at an output until it gives a sample.
 const LOOK: Duration = Duration::from_millis(1);
 
 /// The state row of `process/component`, or the next sample of `process/component/output`.
 pub(crate) async fn read(
-    lcm: &LocalLcm,
+    lcm: &impl Shows,
     path: &str,
     when: When,
     frame: bool,
     deadline: Instant,
 ) -> Result<Sample, Refusal> {
     if path.split('/').count() == 2 {
-        let instance = lcm.instance(&ComponentId::parse(path)?)?;
+        let instance = lcm.component(&ComponentId::parse(path)?)?;
         return state_row(&instance, when);
     }
     let port = PortId::parse(path)?;

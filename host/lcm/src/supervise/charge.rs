@@ -9,11 +9,11 @@ use trocar_plugin_api::abi::NOT_ACTIVE;
 use trocar_rt::os;
 
 use super::super::instance::Misuse;
+use super::lateness::Lateness;
 use super::roster::Ward;
 use super::safe::give_up;
 use super::strangers::Strangers;
 use super::watch::{Busy, Entry, Misdeed};
-use super::watchdog::Lateness;
 
 /// Shortest time an overrun is shown, ns, so that health does not flicker.
 const OVERRUN_SHOWN_NS: u64 = 1_000_000_000;

@@ -13,8 +13,8 @@ use trocar_loader::{self as loader, Moment};
 
 use super::super::concern::Concern;
 use super::super::hub::Hub;
-use super::hygiene::{self, Minding, is_own_process};
-use super::last;
+use super::household::is_own_process;
+use super::minding::{Minding, minded, minding};
 use super::roster::Ward;
 
 /// Most names of components in a report.
@@ -67,11 +67,12 @@ pub(super) fn are_vital_there() -> bool {
     !DEAF.load(Ordering::Acquire) && lasting.as_ref().is_none_or(Lasting::are_vital_there)
 }
 
-/// Reports the closed descriptors, if there are any, and what happens to the process.
-pub(super) fn settle(hub: &Hub, who: &str) {
-    let Some((what, is_vital)) = gone(who) else { return };
+/// Reports the closed descriptors, if there are any. A sentence: the process cannot do without them.
+#[must_use = "the process cannot go on then"]
+pub(super) fn settle(hub: &Hub, who: &str) -> Option<String> {
+    let (what, is_vital) = gone(who)?;
     if is_vital {
-        return last::cannot_go_on(hub, what);
+        return Some(what);
     }
     let why = format!(
         "{what}: it is not reached there any more, and a restart opens them again; close only what the component itself \
@@ -79,6 +80,7 @@ pub(super) fn settle(hub: &Hub, who: &str) {
     );
     log::error!("{why}");
     hub.warn(Concern::Descriptors, Some(why));
+    None
 }
 
 /// A sentence about the closed descriptors, once, with these suspects.
@@ -103,9 +105,11 @@ fn gone(who: &str) -> Option<(String, bool)> {
     })
 }
 
-/// Looks at one descriptor in turn, for the watchdog: at all within a tenth of a second or so.
-pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) {
-    let before = hygiene::minded(wards);
+/// Looks at one descriptor in turn, for the watchdog: at all within a tenth of a second or so. The sentence
+/// is that of [`settle`].
+#[must_use = "the process cannot go on then"]
+pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) -> Option<String> {
+    let before = minded(wards);
     let is_there = match lasting().as_mut() {
         Some(lasting) => {
             if lasting.is_round() {
@@ -116,13 +120,12 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) {
         None => true,
     };
     // An entry that looks after its manners itself comes to it.
-    if !is_there && !matches!(hygiene::minding(wards, &before), Minding::Looks) {
-        let who = suspects(wards);
-        settle(
-            hub,
-            &if turns.had_a_load() { format!("a plugin that was being loaded, or {who},") } else { who },
-        );
+    if is_there || matches!(minding(wards, &before), Minding::Looks) {
+        return None;
     }
+    let who = suspects(wards);
+    let who = if turns.had_a_load() { format!("a plugin that was being loaded, or {who},") } else { who };
+    settle(hub, &who)
 }
 
 /// Names all components: a thread of one may have done it outside of its entries.

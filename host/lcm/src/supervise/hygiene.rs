@@ -11,17 +11,20 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use trocar_model::Health;
 use trocar_rt::os::{self, Household, Hygiene};
 
 use trocar_loader::{self as loader, Moment};
 
 use super::super::instance::Instance;
 use super::descriptors;
+use super::home::{go_home, whereabouts};
+use super::household::household;
+use super::last::cannot_go_on;
+use super::minding::{Minding, minded, minding};
+use super::moment;
 use super::roster::Ward;
-use super::strangers::{self, Strangers};
+use super::strangers::Strangers;
 use super::watch::{Entry, Misdeed};
 
 /// Time between two looks at the signal mask of a thread, and at the state of the process, ns.
@@ -29,34 +32,6 @@ const ROUND_NS: u64 = 1_000_000_000;
 
 /// Time for which suspected components are looked at one by one, ns.
 const SUSPECTED_NS: u64 = 10_000_000_000;
-
-/// Home of this process: its working directory when components were first looked after. The lock guards the
-/// word only.
-static HOME: Mutex<Option<PathBuf>> = Mutex::new(None);
-
-/// The present working directory, and the home directory; `None` if the present one is unknown.
-fn whereabouts() -> Option<(PathBuf, PathBuf)> {
-    let now = std::env::current_dir().ok()?;
-    let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
-    let home = home.get_or_insert_with(|| now.clone()).clone();
-    Some((now, home))
-}
-
-/// Takes the present working directory as the home of the process, before any component's code has run.
-pub(super) fn settle() {
-    let _ = whereabouts();
-}
-
-/// Declares this process a host and nothing else: its locale, umask, signal handlers and standard streams are
-/// looked after from now on. A program that embeds a host changes them as it likes.
-pub fn own_process() {
-    os::keep_streams();
-    household().get_or_insert_with(Household::look);
-}
-
-pub(super) fn is_own_process() -> bool {
-    household().is_some()
-}
 
 /// Counts entries of components, so that one that was alone can be told from those beside others.
 struct Visits {
@@ -85,23 +60,6 @@ impl Visits {
     }
 }
 
-/// The state of the process at the last look between entries.
-fn household() -> MutexGuard<'static, Option<Household>> {
-    static HOUSEHOLD: Mutex<Option<Household>> = Mutex::new(None);
-    HOUSEHOLD.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Brings the process back home, or makes the present directory its home; returns the result in words.
-fn go_home(now: PathBuf, home: &PathBuf) -> String {
-    match std::env::set_current_dir(home) {
-        Ok(()) => "which was put back".to_owned(),
-        Err(e) => {
-            *HOME.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
-            format!("which could not be put back to {}: {e}", home.display())
-        }
-    }
-}
-
 /// State of a thread and its process before an entry.
 pub(crate) struct Manners {
     thread: Hygiene,
@@ -114,7 +72,7 @@ pub(crate) struct Manners {
     has_all: bool,
     loads: Moment,
     /// `None` while the component runs: its threads must not wait for this look.
-    threads: Option<strangers::Moment>,
+    threads: Option<moment::Moment>,
 }
 
 impl Manners {
@@ -131,7 +89,7 @@ impl Manners {
             thread: os::thread_hygiene(),
             loads: loader::moment(),
             directory: whereabouts().map(|(now, _)| now),
-            threads: (!instance.is_active()).then(strangers::Moment::now),
+            threads: (!instance.is_active()).then(moment::Moment::now),
         }
     }
 
@@ -153,7 +111,8 @@ impl Manners {
         // meanwhile: the watchdog looks then.
         let was_alone = VISITS.end(self.alone) && !loader::has_loaded_since(self.loads);
         if was_alone && self.has_all {
-            descriptors::settle(&instance.hub, &format!("{}: {entry}", instance.id));
+            let why = descriptors::settle(&instance.hub, &format!("{}: {entry}", instance.id));
+            why.into_iter().for_each(|why| cannot_go_on(&instance.hub, why));
         }
         if was_alone && let Some(before) = &self.household {
             let now = Household::look();
@@ -181,35 +140,6 @@ impl Manners {
             instance.warn(&format!("{entry}: it changed the working directory of the process, {put_back}"));
         }
         instance.watch.mind();
-    }
-}
-
-/// Looks at a component around its step, while it is one of several suspects. Only then a step costs some
-/// system calls.
-pub(crate) struct Suspicion {
-    sigmask: u64,
-    directory: Option<PathBuf>,
-}
-
-impl Suspicion {
-    pub(crate) fn before(instance: &Instance) -> Option<Suspicion> {
-        instance.watch.is_suspected().then(|| Suspicion {
-            sigmask: os::thread_hygiene().sigmask,
-            directory: std::env::current_dir().ok(),
-        })
-    }
-
-    /// Notes the changes that the step made. The signal mask is restored here, the directory by the watchdog,
-    /// which owns its place.
-    pub(crate) fn after(self, instance: &Instance) {
-        if os::thread_hygiene().sigmask != self.sigmask {
-            os::set_sigmask(self.sigmask);
-            instance.watch.find_out(Misdeed::Signals);
-        }
-        // If the process is back home, the watchdog went there meanwhile.
-        if whereabouts().is_some_and(|(now, home)| now != home && self.directory.is_some_and(|b| b != now)) {
-            instance.watch.find_out(Misdeed::Directory);
-        }
     }
 }
 
@@ -345,34 +275,6 @@ fn look_at_directory<'a>(
         Found::Several
     } else {
         Found::Settled
-    }
-}
-
-/// Entries that check their own manners.
-pub(super) enum Minding<'a> {
-    Nobody,
-    /// At least one of them will come to it.
-    Looks,
-    /// These components look themselves, and none of them returns.
-    Hang(Vec<&'a Ward>),
-}
-
-/// Counters of these components' own looks, for [`minding`].
-pub(super) fn minded(wards: &[&Ward]) -> Vec<u64> {
-    wards.iter().map(|w| w.instance.watch.minded()).collect()
-}
-
-/// Tells which components look for themselves, or did since `before` was taken.
-pub(super) fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
-    let now = minded(wards);
-    let inside: Vec<&Ward> =
-        wards.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
-    if now != before || inside.iter().any(|w| w.instance.watch.health() != Health::Unresponsive) {
-        Minding::Looks
-    } else if inside.is_empty() {
-        Minding::Nobody
-    } else {
-        Minding::Hang(inside)
     }
 }
 

@@ -5,22 +5,30 @@
 
 mod charge;
 mod descriptors;
+mod home;
+mod household;
 mod hygiene;
 mod last;
+mod lateness;
+mod minding;
+mod moment;
 mod roster;
 mod safe;
 mod strangers;
+mod suspicion;
 mod watch;
 mod watchdog;
 
 pub(super) use charge::LEAVE_NS;
 pub use descriptors::{keep as keep_descriptors, let_go as let_go_of_descriptors};
-pub use hygiene::own_process;
-pub(super) use hygiene::{Manners, Suspicion};
+pub use household::own_process;
+pub(super) use hygiene::Manners;
 pub(super) use last::cannot_go_on;
 pub use last::ends_by;
+pub(super) use moment::Moment;
 pub(super) use roster::{Roster, Ward};
 pub(super) use safe::give_up;
-pub(super) use strangers::{Moment, Strangers};
+pub(super) use strangers::Strangers;
+pub(super) use suspicion::Suspicion;
 pub(super) use watch::{Entry, Misdeed, Watch};
 pub(super) use watchdog::Watchdog;

@@ -16,8 +16,10 @@ use super::super::context;
 use super::super::hub::Hub;
 use super::charge::Charge;
 use super::descriptors;
-use super::hygiene::{self, Premises};
+use super::home;
+use super::hygiene::Premises;
 use super::last;
+use super::lateness::Lateness;
 use super::roster::{Roster, Ward};
 use super::strangers::Strangers;
 
@@ -28,10 +30,6 @@ const LOOK_NS: (u64, u64) = (5_000_000, 10_000_000);
 const SOONEST_NS: u64 = 1_000_000;
 /// Shortest time between two looks per component, ns, so that looks stay cheap with many components.
 const LOOK_EACH_NS: u64 = 10_000;
-/// Longest time of a wake that does not count as lateness, ns: over the hundreds of looks in one patience it
-/// must not add up to a pardon.
-const WAKING_NS: u64 = 250_000;
-
 /// The watchdog of one LCM.
 pub(crate) struct Watchdog {
     hub: Arc<Hub>,
@@ -45,7 +43,7 @@ impl Watchdog {
     /// # Errors
     /// The machine gives no more threads.
     pub(crate) fn start(hub: Arc<Hub>, roster: Arc<Roster>) -> std::io::Result<Watchdog> {
-        hygiene::settle();
+        home::settle();
         last::keep(&roster);
         let stop = Arc::new(AtomicBool::new(false));
         let (asked, shared) = (stop.clone(), hub.clone());
@@ -81,28 +79,6 @@ fn keep_looking(hub: &Hub, roster: &Roster, stop: &AtomicBool) {
         last::cannot_go_on(hub, format!("its watchdog broke down: {panic}"));
         // If each look breaks down, this happens at the usual pace.
         hub.watch.wait(Some(os::now_ns() + LOOK_NS.1));
-    }
-}
-
-/// Time for which the watchdog was itself kept from looking, in total, ns.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Lateness {
-    pub(super) now_ns: u64,
-    /// Total at the look before.
-    pub(super) before_ns: u64,
-}
-
-impl Lateness {
-    /// Adds one look, which was due at `due_ns`.
-    fn look(&mut self, due_ns: u64, now_ns: u64) {
-        self.before_ns = self.now_ns;
-        self.now_ns += now_ns.saturating_sub(due_ns + WAKING_NS);
-    }
-
-    /// The total at the begin of an entry that is seen for the first time now. A delay of the watchdog since
-    /// then has delayed the entry, too: it was not there at the look before.
-    pub(super) fn at(self, since_ns: u64, now_ns: u64) -> u64 {
-        self.now_ns - (self.now_ns - self.before_ns).min(now_ns.saturating_sub(since_ns))
     }
 }
 
@@ -155,7 +131,9 @@ impl Rounds {
     /// Looks at the process and its threads, which components should leave as they were.
     fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
         let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
-        descriptors::look(hub, &wards, &mut self.turns);
+        if let Some(why) = descriptors::look(hub, &wards, &mut self.turns) {
+            last::cannot_go_on(hub, why);
+        }
         let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
         let busy = || -> Vec<&Ward> {
             let those = |is: fn(&Charge) -> bool| self.charges.iter().filter(move |c| is(c)).map(|c| &c.ward);

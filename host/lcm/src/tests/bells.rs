@@ -32,7 +32,7 @@ async fn a_thread_hears_as_many_bells_as_the_kernel_lets_it_and_refuses_one_more
     world.create("woken", model(ExecutionModel::OnSignal), counter.clone()).await;
     world.start("woken").await;
     let instance = world.lcm.instance(&world.id("woken")).unwrap();
-    let ears = Executor::spawn("ears", &model(ExecutionModel::OnSignal), &Memory::Loose).unwrap();
+    let ears = Executor::spawn("ears", &model(ExecutionModel::OnSignal), &Memory::Loose, |_, _| ()).unwrap();
     let bells: Vec<_> = (0..MOST_BELLS).map(|_| bell()).collect();
     for bell in &bells {
         ears.add_bell(bell.clone(), instance.clone()).unwrap();

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE};
 
 use super::super::boundary::fake::{Device, Own};
+use super::super::boundary::inside;
 use super::super::context;
 use super::*;
 
@@ -35,7 +36,7 @@ async fn device(world: &World, name: &str) -> Device {
 
 /// Activity of this thread: the component whose code it runs, and whether it may not wait.
 fn doing() -> (usize, bool) {
-    (context::component() as usize, context::stepping())
+    (inside::component() as usize, context::stepping())
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -141,12 +141,12 @@ async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
     let brood = Arc::new(Brood::default());
     world.create("c", periodic(1000), brood.clone()).await;
     world.start("c").await;
-    assert_eq!(world.lcm.buried(), 0);
+    assert_eq!(world.lcm.retired(), 0);
     let gone = Arc::downgrade(&world.lcm.instance(&world.id("c")).unwrap());
     let report = world.apply(destroy(&world, "c")).await.unwrap();
     assert!(report.warnings.iter().any(|w| w.contains("of its own threads still run")), "{report:?}");
     assert!(gone.upgrade().is_some());
-    assert_eq!(world.lcm.buried(), 1);
+    assert_eq!(world.lcm.retired(), 1);
     assert!(!brood.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
     brood.child.lock().unwrap().take();
     world.end().await;
@@ -174,7 +174,7 @@ async fn a_thread_of_configure_may_be_ended_by_destroy() {
     world.start("c").await;
     world.apply(destroy(&world, "c")).await.unwrap();
     assert!(brood.destroyed.load(Ordering::SeqCst));
-    assert_eq!(world.lcm.buried(), 0);
+    assert_eq!(world.lcm.retired(), 0);
     world.end().await;
 }
 

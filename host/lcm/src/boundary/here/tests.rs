@@ -11,8 +11,8 @@ use trocar_rt::region::Layout;
 use trocar_rt::segment::{Agreed, CallShape, FarCalls, Rows, ServedCalls};
 use trocar_rt::state::StateWriter;
 
-use super::super::call::write_err;
 use super::super::fake::class;
+use super::super::texts::write_err;
 use super::*;
 
 const FLAGS: usize = 8;

@@ -10,7 +10,8 @@ use trocar_plugin_api::abi::Loan;
 use trocar_rt::os::OsError;
 use trocar_rt::pool::{FrameMut, FramePool, PoolFile};
 
-use super::super::{room, running};
+use super::super::inside::running;
+use super::super::room;
 use super::OutCell;
 
 /// The pools of one output.

@@ -11,7 +11,7 @@ use trocar_plugin_api::abi::{
 };
 
 use super::super::super::context;
-use super::super::{input, room};
+use super::super::{input, room, texts};
 use super::{OutCell, Outs};
 
 /// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as
@@ -164,5 +164,5 @@ pub(in crate::boundary) unsafe extern "C" fn reserve(
 }
 
 pub(in crate::boundary) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
-    super::super::tell(sink, &out_cell(ctx).outs.enter().described)
+    texts::tell(sink, &out_cell(ctx).outs.enter().described)
 }

@@ -70,7 +70,7 @@ fn what_was_queued_for_a_port_that_stays_is_executed_and_for_one_that_went_is_di
     let mut fewer = ports.clone();
     fewer.provided.remove(0);
     let set =
-        std::sync::Arc::new(crate::dynamic::PortSet::new(fewer, Some(&instance.described.now())).unwrap());
+        std::sync::Arc::new(crate::described::PortSet::new(fewer, Some(&instance.described.now())).unwrap());
     std::thread::scope(|scope| {
         let (kept, lost) = {
             // While a thread is inside, calls wait in their queues.

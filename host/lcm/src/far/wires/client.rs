@@ -20,14 +20,15 @@ use super::super::super::boundary::{
     DEFAULT_DEADLINE_NS, FarCommand, FarRead, FarServer, FarSource, FarTable, FnBinding, FnCell, InCell,
     InLink, Newest, OwnClass, OwnRead, OwnRows, Panics, RangeCheck, Shape,
 };
-use super::super::super::connect::lane;
-use super::super::super::dynamic::PortSet;
+use super::super::super::described::PortSet;
+use super::super::super::ends::Here;
 use super::super::super::inbox::{Check, Inbox};
 use super::super::super::instance::Loss;
+use super::super::super::passage::lane;
 use super::super::asks::Asks;
 use super::super::terms::{Reading, Way, commands, of_rows, size};
 
-use super::{Here, full, is_status, settle};
+use super::{full, is_status, settle};
 
 /// The client's wires.
 pub(in crate::far) enum ClientWires {
@@ -222,10 +223,10 @@ impl ClientWires {
             ClientWires::Calls { functions, events_in, bell, .. } => {
                 functions.iter().for_each(|f| f.unbind());
                 client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
-                client.counters.keep_losses(events_in);
+                client.counters.lose(events_in.events, events_in.lost());
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);
-                client.counters.lose(events_in, events_in.unexecuted() - before);
+                client.counters.lose(events_in.events, events_in.unexecuted() - before);
                 here.executor.remove_bell(bell.clone());
             }
         }

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Ports, Safety, State, Verb};
 
 use super::super::charge::LEAVE_NS;
+use super::super::lateness::WAKING_NS;
 use super::super::strangers::lists;
 use super::*;
 use crate::boundary::fake::{Behaviour, FakeClasses, behave, class};
