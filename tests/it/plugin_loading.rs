@@ -85,21 +85,48 @@ fn a_reset_says_that_it_keeps_the_code_of_before() {
     let reset = || grpc.ok("GcmService/Reset", json!({ "path": "host/s" })).to_string();
     assert!(!reset().contains("was created with"), "the file is the same one");
 
-    // The same code with a byte behind it: another file.
-    let hash = |grpc: &Grpcurl| plugin(grpc, "libtrocar_sine.so").map(|p| p["hash"].clone());
-    let (file, before) = (world.plugins().join("libtrocar_sine.so"), hash(&grpc));
+    replace_sine(&world, &grpc);
+
+    let told = reset();
+    assert!(told.contains("was created with") && told.contains("remove and create host/s"), "{told}");
+}
+
+#[test]
+fn a_component_whose_file_was_replaced_is_made_anew_of_its_own_code_for_another_thread() {
+    let world = World::with_plugins(&["sine"]);
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    grpc.await_class("host", "sine");
+    grpc.create("host/s", "sine", json!({}));
+    grpc.start("host/s");
+    let hash = |path: &str| {
+        let told = grpc.ok("GcmService/Describe", json!({ "path": path }));
+        told["class"]["hash"].as_str().unwrap_or_else(|| panic!("no hash: {told}")).to_owned()
+    };
+    let before = hash("host/s");
+    replace_sine(&world, &grpc);
+
+    let faster = json!({ "path": "host/s", "execution": { "rate_hz": 250 } });
+    grpc.ok("GcmService/Configure", faster);
+    assert_eq!(hash("host/s"), before, "its code changed without anybody asking for that");
+    assert_advances(&grpc, "host/s");
+    grpc.create("host/t", "sine", json!({}));
+    assert_ne!(hash("host/t"), before, "a new component is of the new file");
+}
+
+/// Puts the same code with a byte behind it, which is another file, in place of the plugin `sine`.
+fn replace_sine(world: &World, grpc: &Grpcurl) {
+    let hash = || plugin(grpc, "libtrocar_sine.so").map(|p| p["hash"].clone());
+    let (file, before) = (world.plugins().join("libtrocar_sine.so"), hash());
     let (mut bytes, newer) = (fs::read(&file).unwrap(), world.plugins().join("newer"));
     bytes.push(0);
     fs::write(&newer, bytes).unwrap();
     fs::rename(&newer, &file).unwrap();
-    eventually("the newer file is listed", || match hash(&grpc) {
+    eventually("the newer file is listed", || match hash() {
         now if now.is_some() && now != before => Ok(()),
         now => Err(format!("{now:?}")),
     });
     grpc.await_class("host", "sine");
-
-    let told = reset();
-    assert!(told.contains("was created with") && told.contains("remove and create host/s"), "{told}");
 }
 
 fn plugin(grpc: &Grpcurl, name: &str) -> Option<Value> {

@@ -1,6 +1,7 @@
 //! Classes from plugin files: the loader's store in the model's words.
 //!
-//! Invariant: a class is created only from the very file content that was reported to the graph (same hash).
+//! Invariant: a class is created only from the very file content that was reported to the graph (same hash):
+//! the listed file, or code that is in the process still after another file took its place.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,6 +10,7 @@ use trocar_lcm_api::PluginInfo;
 use trocar_loader::convert;
 use trocar_loader::{Hash, ListedPlugin, PluginEntry, PluginError, PluginStore};
 use trocar_model::{ClassInfo, Name, Programs, Refusal};
+use trocar_plugin_api::manifest::Manifest;
 
 use super::boundary;
 use super::boundary::LoadedClass;
@@ -29,12 +31,14 @@ impl StoreClasses {
         Arc::new(StoreClasses { process, store, converted: Mutex::new(HashMap::new()) })
     }
 
-    fn converted(&self, plugin: &ListedPlugin) -> Arc<Converted> {
+    fn converted(&self, hash: Hash, manifest: &Manifest) -> Arc<Converted> {
         let mut known = self.converted.lock().unwrap_or_else(PoisonError::into_inner);
-        known
-            .entry(plugin.hash)
-            .or_insert_with(|| Arc::new(convert::classes(&plugin.manifest, &plugin.hash.to_string())))
-            .clone()
+        let converted = || Arc::new(convert::classes(manifest, &hash.to_string()));
+        known.entry(hash).or_insert_with(converted).clone()
+    }
+
+    fn classes_of(&self, plugin: &ListedPlugin) -> Arc<Converted> {
+        self.converted(plugin.hash, &plugin.manifest)
     }
 
     fn info(&self, entry: &PluginEntry) -> PluginInfo {
@@ -62,7 +66,7 @@ impl StoreClasses {
                 if let Some(error) = self.store.failure(plugin) {
                     (info.refused_reason, info.refused) = (error.reason().into(), error.to_string());
                 }
-                if let Err(contradiction) = &*self.converted(plugin) {
+                if let Err(contradiction) = &*self.classes_of(plugin) {
                     info.refused_reason = "PLUGIN_BAD_FILE".into();
                     info.refused = format!("{}: its manifest contradicts itself: {contradiction}", info.file);
                 }
@@ -76,31 +80,34 @@ impl Classes for StoreClasses {
     fn catalog(&self) -> Vec<Arc<ClassInfo>> {
         let entries = self.store.list();
         let plugins = entries.iter().filter_map(PluginEntry::listed);
-        plugins.filter_map(|p| self.converted(p).as_ref().clone().ok()).flatten().collect()
+        plugins.filter_map(|p| self.classes_of(p).as_ref().clone().ok()).flatten().collect()
     }
 
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal> {
         let full_name = class.full_name();
-        let found = self.store.class(&full_name).map_err(refusal)?;
-        if found.plugin.hash.to_string() != class.hash {
-            return Err(Refusal::PluginBadFile {
-                file: found.plugin.file.display().to_string(),
-                text: format!("{full_name} changed on disk while it was being created: ask again"),
-            });
+        let listed = self.store.class(&full_name);
+        if let Ok(found) = &listed
+            && found.plugin.hash.to_string() == class.hash
+        {
+            return Ok(boundary::loaded_class(self.store.load(found).map_err(refusal)?));
         }
-        let loaded = self.store.load(&found).map_err(refusal)?;
-        Ok(boundary::loaded_class(loaded))
+        let resident = Hash::parse(&class.hash).and_then(|hash| self.store.resident(&full_name, &hash));
+        match (resident, listed) {
+            (Some(loaded), _) => Ok(boundary::loaded_class(loaded)),
+            (None, Err(error)) => Err(refusal(error)),
+            (None, Ok(other)) => Err(Refusal::PluginBadFile {
+                file: other.plugin.file.display().to_string(),
+                text: format!("{full_name} changed on disk while it was being created: ask again"),
+            }),
+        }
     }
 
     fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
-        let loaded = Hash::parse(hash).filter(|hash| self.store.is_loaded(hash))?;
-        let plugins = self.store.list();
-        let plugin = plugins.iter().filter_map(PluginEntry::listed).find(|plugin| plugin.hash == loaded)?;
-        let classes = self.converted(plugin).as_ref().clone().ok()?;
+        let hash = Hash::parse(hash)?;
+        let loaded = self.store.resident(name, &hash)?;
+        let classes = self.converted(hash, &loaded.plugin.manifest).as_ref().clone().ok()?;
         let class = classes.into_iter().find(|class| class.full_name() == name)?;
-        // Another file of that name may be there by now: then this one counts as gone.
-        let found = self.load(&class).ok()?;
-        Some((class, found))
+        Some((class, boundary::loaded_class(loaded)))
     }
 
     fn recheck(&self, name: &str) {

@@ -268,6 +268,16 @@ impl PluginStore {
         })
     }
 
+    /// The class `plugin/class` of the file with this hash, if its code is in the process, whichever file of
+    /// that plugin is listed now. Loads nothing; waits while that very content is being loaded.
+    pub fn resident(&self, full_name: &str, hash: &Hash) -> Option<LoadedClass> {
+        let slot = lock(&self.loaded).get(hash).cloned()?;
+        let plugin = lock(&slot).clone()?;
+        let class = full_name.strip_prefix(&plugin.manifest.name)?.strip_prefix('/')?;
+        let index = plugin.manifest.classes.iter().position(|c| c.name == class)?;
+        plugin.class(index)
+    }
+
     /// True when the code of this file content is in the process.
     pub fn is_loaded(&self, hash: &Hash) -> bool {
         lock(&self.present).contains(hash)

@@ -39,6 +39,30 @@ fn a_second_load_of_the_same_content_gives_the_same_library() {
 }
 
 #[test]
+fn loaded_code_is_found_by_its_hash_after_another_file_took_its_place() {
+    let world = World::new();
+    world.put("libprobe.so", probe());
+    let store = world.open();
+    let old = store.class("probe_class").unwrap();
+    assert!(store.resident("probe/probe_class", &old.plugin.hash).is_none(), "it was not loaded yet");
+    let loaded = store.load(&old).unwrap();
+    world.put("libprobe.so", &Source { code: "int other;", ..Source::default() }.build());
+    store.rescan();
+    let new = store.class("probe_class").unwrap();
+    assert_ne!(new.plugin.hash, old.plugin.hash);
+    let found = store.resident("probe/probe_class", &old.plugin.hash).expect("its code is in the process");
+    assert!(Arc::ptr_eq(&found.plugin, &loaded.plugin));
+    for (name, hash) in [
+        ("probe/other_class", old.plugin.hash),
+        ("prob/probe_class", old.plugin.hash),
+        ("probe_class", old.plugin.hash),
+        ("probe/probe_class", new.plugin.hash),
+    ] {
+        assert!(store.resident(name, &hash).is_none(), "{name} of {}", hash.short());
+    }
+}
+
+#[test]
 fn the_cache_is_private_and_a_damaged_copy_in_it_is_replaced() {
     use std::os::unix::fs::MetadataExt;
     let world = World::new();
