@@ -175,7 +175,7 @@ fn the_libraries_we_build_on_are_those_of_adr_0003() {
 }
 
 /// Floors of `host/lcm/src`, the upper one first: a module names modules of its own floor and of those below.
-const FLOORS: [(&str, &[&str]); 4] = [
+const FLOORS: [(&str, &[&str]); 5] = [
     (
         "manager",
         &[
@@ -191,20 +191,21 @@ const FLOORS: [(&str, &[&str]); 4] = [
         ],
     ),
     ("joining", &["connect", "carriers", "far", "ends", "passage"]),
-    (
-        "component",
-        &["executor", "cycle", "supervise", "dynamic", "instance", "described", "boundary", "inbox"],
-    ),
+    ("component", &["executor", "cycle", "supervise", "dynamic", "instance"]),
+    ("cell", &["described", "boundary", "core", "inbox"]),
     (
         "parts",
         &[
+            "books",
             "concern",
             "context",
             "desk",
             "gate",
+            "goal",
             "hub",
             "kept",
             "logs",
+            "loss",
             "order",
             "pending",
             "readers",
@@ -213,6 +214,7 @@ const FLOORS: [(&str, &[&str]); 4] = [
             "rows",
             "thread",
             "thumbnail",
+            "watch",
         ],
     ),
 ];

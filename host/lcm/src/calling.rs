@@ -73,7 +73,7 @@ async fn attempt(
     let ret = command.ret.clone();
     let (send, member) = (call.send, call.member.clone());
     let unit = command.ret_unit.clone();
-    let target = passage::target(instance, set, id, &set.external, id, deadline_ns);
+    let target = passage::target(&instance.core, set, id, &set.external, id, deadline_ns);
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match target {
         // A command provided here leads nowhere else.
@@ -83,7 +83,7 @@ async fn attempt(
             Reader::System(_) => read.answer(&arg, ret_bytes),
             Reader::Class(_) => {
                 let member = member.clone();
-                reads::answer(read, Asked { member, arg, ret_bytes, deadline_ns }).await?
+                reads::answer(instance.clone(), read, Asked { member, arg, ret_bytes, deadline_ns }).await?
             }
         },
         FnBinding::Command(command) => {

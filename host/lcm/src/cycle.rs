@@ -9,12 +9,15 @@ use std::sync::Arc;
 use trocar_model::State;
 use trocar_plugin_api::abi::{NOT_ACTIVE, Tick};
 use trocar_rt::executor::{Cycle, Pace};
-use trocar_rt::turn;
+use trocar_rt::{os, turn};
 
-use super::boundary::{late, told};
+use super::boundary::{inside, late, told};
 use super::context;
-use super::instance::{Instance, Stepped};
+use super::core::{Core, Entered};
+use super::instance::Instance;
 use super::pending;
+use super::supervise::Suspicion;
+use super::watch::{Entry, Misdeed};
 
 /// Time at which a member of a thread steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +34,8 @@ pub(super) enum Follow {
 #[derive(Clone)]
 pub(super) struct Member {
     pub(super) instance: Arc<Instance>,
+    /// Its core, for the step path.
+    core: Arc<Core>,
     pub(super) follow: Follow,
     /// Whether it steps in this cycle; `None` until decided.
     due: Option<bool>,
@@ -38,7 +43,7 @@ pub(super) struct Member {
 
 impl Member {
     pub(super) fn new(instance: Arc<Instance>, follow: Follow) -> Member {
-        Member { instance, follow, due: None }
+        Member { core: instance.core.clone(), instance, follow, due: None }
     }
 }
 
@@ -54,37 +59,37 @@ pub(super) fn signalled(members: &mut [Member], cycle: &Cycle) -> bool {
 
 /// Runs the queued calls of members between cycles, where no step would come soon.
 pub(super) fn serve(members: &[Member], pace: Pace) {
-    if members.iter().any(|m| m.instance.has_signal() && !steps_at_once(m, pace)) {
+    if members.iter().any(|m| m.core.has_signal() && !steps_at_once(m, pace)) {
         turn::run(|| serve_signalled(members, pace));
     }
 }
 
 /// Tells whether the member's own step comes right away and takes the queued calls.
 fn steps_at_once(member: &Member, pace: Pace) -> bool {
-    let steps = member.instance.is_active() && !member.instance.is_called_back();
+    let steps = member.core.is_active() && !member.core.is_called_back();
     steps && !matches!(member.follow, Follow::Member(_)) && pace == Pace::Signal
 }
 
 fn serve_signalled(members: &[Member], pace: Pace) {
     let mut served = false;
-    for member in members.iter().filter(|m| m.instance.has_signal()) {
-        let instance = &member.instance;
+    for member in members.iter().filter(|m| m.core.has_signal()) {
+        let core = &member.core;
         if steps_at_once(member, pace) {
             continue;
         }
-        let steps = instance.is_active() && !instance.is_called_back();
+        let steps = core.is_active() && !core.is_called_back();
         if !served {
             context::set_stepping(true);
         }
         served = true;
-        if bypass(instance) {
+        if bypass(&member.instance) {
             continue;
         }
         // The mark of a filter also means that a frame is there; its step takes it.
         if !steps || member.follow != Follow::Input {
-            instance.take_signal();
+            core.take_signal();
         }
-        instance.serve();
+        core.serve();
     }
     if served {
         pending::publish();
@@ -96,8 +101,8 @@ fn serve_signalled(members: &[Member], pace: Pace) {
 
 /// Answers the calls queued for members that are not ACTIVE.
 pub(super) fn refuse(members: &[Member]) {
-    for member in members.iter().filter(|m| m.instance.take_signal()) {
-        member.instance.serve();
+    for member in members.iter().filter(|m| m.core.take_signal()) {
+        member.core.serve();
     }
 }
 
@@ -112,16 +117,15 @@ fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
         context::set_stepping(false);
         told::flush_wakes();
         late::give();
-        members.iter().for_each(|m| m.instance.object.let_go());
+        members.iter().for_each(|m| m.core.object.let_go());
         stepped
     })
 }
 
 /// Takes the locks of the members that run on this thread alone.
 fn keep(members: &[Member]) {
-    let own =
-        |m: &&Member| m.instance.is_active() && !m.instance.is_passive() && !m.instance.is_called_back();
-    members.iter().filter(own).for_each(|m| m.instance.object.keep());
+    let own = |m: &&Member| m.core.is_active() && !m.core.is_passive() && !m.core.is_called_back();
+    members.iter().filter(own).for_each(|m| m.core.object.keep());
 }
 
 fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
@@ -136,7 +140,7 @@ fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
             let on_grid = cycle.period_ns > 0 && goes_with_thread(members, at);
             now_ns = step(member, cycle, on_grid, now_ns);
             stepped = true;
-        } else if member.instance.has_signal() && !steps_for_signal(member, by_signal) {
+        } else if member.core.has_signal() && !steps_for_signal(member, by_signal) {
             unstepped(member);
         }
     }
@@ -148,7 +152,7 @@ fn turn_of(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
 /// theirs.
 fn steps_for_signal(member: &Member, by_signal: bool) -> bool {
     let follows = member.follow == Follow::Input || by_signal && member.follow == Follow::Thread;
-    follows && member.instance.is_active() && !member.instance.is_called_back()
+    follows && member.core.is_active() && !member.core.is_called_back()
 }
 
 /// Tells whether its steps are its thread's cycles: not those of a filter, nor of a member that runs inside
@@ -160,7 +164,7 @@ fn goes_with_thread(members: &[Member], at: usize) -> bool {
         match follow {
             Follow::Thread => return true,
             Follow::Input => return false,
-            Follow::Member(number) => match members.iter().find(|m| m.instance.number == number) {
+            Follow::Member(number) => match members.iter().find(|m| m.core.number == number) {
                 Some(around) => follow = around.follow,
                 None => return false,
             },
@@ -179,18 +183,18 @@ fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
     members[at].due = Some(false);
     let parent_is_due = match members[at].follow {
         Follow::Thread | Follow::Input => true,
-        Follow::Member(number) => match members.iter().position(|m| m.instance.number == number) {
+        Follow::Member(number) => match members.iter().position(|m| m.core.number == number) {
             Some(parent) => is_due(members, parent, by_signal),
             None => false,
         },
     };
     let member = &members[at];
-    let instance = &member.instance;
-    let mut due = parent_is_due && instance.is_active() && !instance.is_called_back();
+    let core = &member.core;
+    let mut due = parent_is_due && core.is_active() && !core.is_called_back();
     if due && steps_for_signal(member, by_signal) {
-        due = instance.take_signal();
+        due = core.take_signal();
     } else if due {
-        instance.take_signal();
+        core.take_signal();
     }
     members[at].due = Some(due);
     due
@@ -198,8 +202,8 @@ fn is_due(members: &mut [Member], at: usize, by_signal: bool) -> bool {
 
 /// Serves a signalled member that does not step: its queue is run or answered; frames may pass it.
 fn unstepped(member: &Member) {
-    if !bypass(&member.instance) && member.instance.take_signal() {
-        member.instance.serve();
+    if !bypass(&member.instance) && member.core.take_signal() {
+        member.core.serve();
     }
 }
 
@@ -220,18 +224,18 @@ fn bypass(instance: &Instance) -> bool {
 /// Makes one step with its timing; returns its end, ns. `on_grid`: whether periods that its thread leaves out
 /// are its own.
 fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
-    let instance = &*member.instance;
+    let core = &*member.core;
     // A control entry is still inside; this cycle is left out and counted.
-    let Some(mut entered) = instance.object.try_enter() else {
-        instance.stats.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
+    let Some(mut entered) = core.object.try_enter() else {
+        core.stats.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
         return begin_ns;
     };
-    if !instance.is_active() {
+    if !core.is_active() {
         // The component was stopped, or failed, after this cycle had asked which members step: the cycle is
         // not its own.
         drop(entered);
-        if !bypass(instance) {
-            instance.serve();
+        if !bypass(&member.instance) {
+            core.serve();
         }
         return begin_ns;
     }
@@ -252,18 +256,53 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
         period_ns,
         elapsed_ns,
     };
-    let Stepped { end_ns, ran } = instance.step(&mut entered, &tick);
+    let Stepped { end_ns, ran } = enter(core, &mut entered, &tick);
     drop(entered);
     if !ran {
-        instance.stats.record_skipped(1 + skipped);
+        core.stats.record_skipped(1 + skipped);
         return end_ns;
     }
     // Lateness of its thread; the time that others in the cycle took before it does not count as its own.
     let lateness_ns = if on_grid { cycle.begin_ns.saturating_sub(cycle.deadline_ns) } else { 0 };
-    instance.stats.record(begin_ns, end_ns, lateness_ns);
-    instance.stats.record_skipped(skipped);
-    if on_grid && lateness_ns + (end_ns - begin_ns) > period_ns && instance.watch.overran() {
-        context::wake(instance.watchdog());
+    core.stats.record(begin_ns, end_ns, lateness_ns);
+    core.stats.record_skipped(skipped);
+    if on_grid && lateness_ns + (end_ns - begin_ns) > period_ns && core.watch.overran() {
+        context::wake(core.watchdog());
     }
     end_ns
+}
+
+/// Result of a step.
+struct Stepped {
+    /// Its end, ns.
+    end_ns: u64,
+    /// Whether the component's own code ran: not when it left ACTIVE while its queues ran.
+    ran: bool,
+}
+
+/// Makes one step: first the queued entries, then the component's own step. Real-time.
+fn enter(core: &Core, entered: &mut Entered<'_>, tick: &Tick) -> Stepped {
+    let watched = core.watch.begin(Entry::Step, tick.now_ns);
+    let before = inside::swap_component(core);
+    context::set_step_began(tick.now_ns);
+    let suspicion = Suspicion::before(&core.watch);
+    core.drain(entered);
+    let ran = core.is_active();
+    let failed = if ran { entered.step(tick).err() } else { None };
+    context::set_step_began(0);
+    let end_ns = os::now_ns();
+    if !context::keep_rounding() {
+        core.watch.misdeed(Misdeed::Rounding);
+    }
+    if let Some(suspicion) = suspicion {
+        suspicion.after(&core.watch);
+    }
+    match failed {
+        None => core.publish_row(entered, end_ns),
+        Some(e) => core.fail(entered, "step", &e),
+    }
+    inside::swap_component(before);
+    core.watch.leave(watched);
+    core.pay_safe(entered);
+    Stepped { end_ns, ran }
 }

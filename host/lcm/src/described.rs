@@ -6,15 +6,17 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use trocar_model::{Command, Ports, TAPS, Type};
+use trocar_model::{Ports, TAPS};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
 use trocar_rt::reply::ReplyPool;
 
 use super::boundary::{
-    CommandTap, ERR_BYTES, EventCell, EventTap, NoRoom, OutCell, Slots, same, same_input, same_output,
+    ERR_BYTES, EventCell, EventTap, NoRoom, Slots, command_tap, row_tap, same, same_input, same_output,
     same_provided, same_required,
 };
+use super::core::{CommandTap, RowTap};
+use super::goal::Goal;
 use super::inbox::{From, Inbox, Position};
 
 /// Commands from outside that may wait.
@@ -37,7 +39,7 @@ pub(super) struct PortSet {
     /// Is told of the commands, where there are any.
     pub(super) command_tap: Option<CommandTap>,
     /// Kind of goal of each command.
-    pub(super) goals: Vec<Goal>,
+    pub(super) goals: Arc<[Goal]>,
     max_ret: usize,
 }
 
@@ -84,9 +86,9 @@ impl PortSet {
             ports.own_outputs().position(fits).map(|output| (0, output))
         });
         let tap = ports.outputs.iter().position(|output| output.name == TAPS[2]);
-        let command_tap = tap.map(|at| CommandTap {
-            cell: slots.output(at).clone(),
-            arg_bytes: all().map(|c| c.arg.as_ref().map_or(0, |a| a.ty.size())).collect(),
+        let command_tap = tap.map(|at| {
+            let arg_bytes = all().map(|c| c.arg.as_ref().map_or(0, |a| a.ty.size()));
+            command_tap(slots.output(at), arg_bytes.collect())
         });
         let goals = all().map(Goal::of).collect();
         Ok(PortSet {
@@ -103,8 +105,9 @@ impl PortSet {
     }
 
     /// The tap of the rows, if there is one.
-    pub(super) fn row_tap(&self) -> Option<&Arc<OutCell>> {
-        Some(self.slots.output(self.ports.outputs.iter().position(|output| output.name == TAPS[0])?))
+    pub(super) fn row_tap(&self) -> Option<RowTap> {
+        let at = self.ports.outputs.iter().position(|output| output.name == TAPS[0])?;
+        Some(row_tap(self.slots.output(at)))
     }
 
     /// Sends the events to this set's own tap from now on, also events taken over from the set before.
@@ -112,7 +115,7 @@ impl PortSet {
         let tap = self.ports.outputs.iter().position(|output| output.name == TAPS[1]);
         let cell = tap.map(|at| self.slots.output(at));
         for id in 0..self.ports.first_event(self.ports.provided.len()) {
-            let tap = cell.map(|cell| EventTap { cell: cell.clone(), which: id as u32 });
+            let tap = cell.map(|cell| EventTap::new(cell, id as u32));
             self.slots.event(id).set_tap(tap);
         }
     }
@@ -167,51 +170,6 @@ impl PortSet {
     }
 }
 
-/// The kind of goal a command gives its component.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Goal {
-    /// None: the command carries only text, choices or flags, or no argument, like a command that stops a
-    /// device.
-    #[default]
-    None,
-    /// Numbers, which are valid at the time they are sent.
-    Numbers,
-    /// A goal of a stream that is renewed all the time, CRTK's `servo_*`.
-    Servo,
-    /// A word to CRTK's `state_command`, where [`Goal::with`] has not looked at it yet.
-    State,
-}
-
-/// Words of `state_command` after which a device moves, or follows goals again. The others let it rest.
-const IN_MOTION: [&[u8]; 3] = [b"enable", b"resume", b"home"];
-
-impl Goal {
-    pub(super) fn of(command: &Command) -> Goal {
-        let Some(arg) = command.arg.as_ref().filter(|_| !command.kind.is_read()) else { return Goal::None };
-        if command.name == "state_command" && matches!(arg.ty, Type::Text { .. }) {
-            Goal::State
-        } else if !arg.ty.has_numbers() {
-            Goal::None
-        } else if command.name.starts_with("servo_") {
-            Goal::Servo
-        } else {
-            Goal::Numbers
-        }
-    }
-
-    /// The goal with this argument: a word that lets a device rest is no goal. Real-time.
-    pub(super) fn with(self, arg: &[u8]) -> Goal {
-        if self == Goal::State && !IN_MOTION.contains(&text(arg)) { Goal::None } else { self }
-    }
-}
-
-/// The bytes of a text as laid out: its length, then room for the longest one.
-fn text(arg: &[u8]) -> &[u8] {
-    let Some((length, room)) = arg.split_first_chunk() else { return &[] };
-    let length = usize::try_from(u64::from_ne_bytes(*length)).unwrap_or(usize::MAX);
-    room.get(..length).unwrap_or_default()
-}
-
 /// Store of an instance's ports.
 pub(super) struct Described {
     pub(super) now: BindingCell<Arc<PortSet>>,
@@ -248,11 +206,6 @@ impl Described {
 
     pub(super) fn now(&self) -> Arc<PortSet> {
         self.now.enter().clone()
-    }
-
-    /// Shows the present set to `f`. Any thread; real-time.
-    pub(super) fn look<R>(&self, f: impl FnOnce(&PortSet) -> R) -> R {
-        self.now.look(|set| f(set))
     }
 
     /// Names of the ports lost since the last call.

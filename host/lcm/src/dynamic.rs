@@ -14,7 +14,7 @@ use super::context;
 use super::described::PortSet;
 use super::inbox::Inbox;
 use super::instance::{Entered, Instance};
-use super::supervise::Entry as Inside;
+use super::watch::Entry as Inside;
 
 impl Instance {
     /// The ports by the present description.
@@ -27,14 +27,22 @@ impl Instance {
         context::wake(&self.hub.ports);
     }
 
+    /// Drops what was cut; asks for another look where a cycle under way may still look at that.
+    pub(super) fn settle(&self) {
+        if self.reclaim() > 0 {
+            self.look_at_ports();
+        }
+    }
+
     /// Passes on the samples that a failed filter would have worked on: from its first input to its first
     /// output of that type. Leftovers are taken up without a new sample. Component's thread only; real-time.
     pub(super) fn bypass(&self, _inside: &mut Entered<'_>) {
         let set = self.described.now.enter();
-        if let Some((input, output)) = set.bypass
-            && set.slots.input(input).bypass(set.slots.output(output))
-        {
-            self.signal();
+        if let Some((input, output)) = set.bypass {
+            let output = set.slots.output(output);
+            if set.slots.input(input).bypass(|shown, stamp_ns| output.forward(shown, stamp_ns)) {
+                self.signal();
+            }
         }
     }
 
@@ -157,8 +165,9 @@ fn take_over(instance: &Instance, entered: &mut Entered<'_>, ports: Ports) -> En
     instance.show_positions();
     let inner = entered.inner();
     inner.ret.resize(new.ret_words().max(inner.ret.len()), 0);
-    inner.row_tap = new.row_tap().cloned();
-    inner.command_tap.clone_from(&new.command_tap);
+    inner.row_tap = new.row_tap();
+    inner.goals = new.goals.clone();
+    instance.set_command_tap(entered, new.command_tap.as_ref());
     described.now.swap(Box::new(new.clone()));
     instance.edit_inboxes(|all| {
         all.retain(|i| !Arc::ptr_eq(i, &before.external));

@@ -16,6 +16,7 @@ use trocar_rt::{house, os};
 
 use super::boundary::late;
 use super::context::{self, ExecutorId};
+use super::core::Core;
 use super::cycle::{self, Member};
 use super::instance::Instance;
 use super::realtime::{self, Memory, Settings};
@@ -50,11 +51,11 @@ pub(super) struct Crew {
 pub(super) struct Rung {
     bells: Vec<Arc<Waker>>,
     /// The member of each bell.
-    members: Vec<Arc<Instance>>,
+    members: Vec<Arc<Core>>,
 }
 
 impl Rung {
-    pub(super) fn add(&mut self, bell: Arc<Waker>, member: Arc<Instance>) {
+    pub(super) fn add(&mut self, bell: Arc<Waker>, member: Arc<Core>) {
         self.bells.push(bell);
         self.members.push(member);
     }
@@ -230,7 +231,7 @@ impl Executor {
     ///
     /// # Errors
     /// The thread sleeps on as many bells as the kernel allows.
-    pub(super) fn add_bell(&self, bell: Arc<Waker>, member: Arc<Instance>) -> Result<(), String> {
+    pub(super) fn add_bell(&self, bell: Arc<Waker>, member: Arc<Core>) -> Result<(), String> {
         if self.bells.fetch_add(1, Ordering::Relaxed) >= MOST_BELLS {
             self.bells.fetch_sub(1, Ordering::Relaxed);
             return Err(format!(

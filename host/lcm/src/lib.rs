@@ -3,6 +3,7 @@
 //! Invariant: it never runs component code on its own threads and shares no lock with one that does.
 #![deny(unsafe_code)]
 
+mod books;
 #[allow(unsafe_code, reason = "calls into class tables, and the slots that plugins call")]
 mod boundary;
 mod calling;
@@ -11,6 +12,7 @@ mod classes;
 mod concern;
 mod connect;
 mod context;
+mod core;
 mod cycle;
 mod described;
 mod desk;
@@ -19,6 +21,7 @@ mod ends;
 mod executor;
 mod far;
 mod gate;
+mod goal;
 mod hub;
 mod inbox;
 mod instance;
@@ -26,6 +29,7 @@ mod kept;
 mod lifecycle;
 mod local;
 mod logs;
+mod loss;
 mod order;
 mod outside;
 mod passage;
@@ -43,6 +47,7 @@ mod supervise;
 mod tests;
 mod thread;
 mod thumbnail;
+mod watch;
 #[cfg(test)]
 #[path = "../../../tests/src/watchdog.rs"]
 #[allow(unreachable_pub, reason = "it is public where it lies")]

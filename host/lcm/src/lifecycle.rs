@@ -6,9 +6,10 @@ use trocar_model::{ComponentId, Refusal, State, StopReason};
 use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED, STATUS_INVALID};
 
 use super::boundary::{EntryError, EntryResult};
+use super::core::CALLS_ON_TRIAL;
 use super::dynamic;
-use super::instance::{CALLS_ON_TRIAL, Entered, Instance};
-use super::supervise::Entry as Inside;
+use super::instance::{Entered, Instance};
+use super::watch::Entry as Inside;
 
 pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryError) -> Refusal {
     if e.refused()

@@ -40,13 +40,15 @@ use super::cycle::Follow;
 use super::ends::Here;
 use super::executor::Executor;
 use super::hub::Hub;
-use super::instance::{Entered, Instance, Loss};
+use super::instance::{Entered, Instance};
+use super::loss::Loss;
 use super::order::Place;
 use super::outside::{self, Outside, Shows};
 use super::realtime::Memory;
 use super::services::Services;
 use super::store::governed;
-use super::supervise::{Entry, Manners, Roster, Watchdog};
+use super::supervise::{Manners, Roster, Watchdog};
+use super::watch::Entry;
 
 /// Longest wait to enter a component again whose late work has to be reverted, ns.
 const UNDO_NS: u64 = 1_000_000_000;

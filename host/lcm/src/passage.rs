@@ -8,9 +8,10 @@ use trocar_rt::mailbox::Overflow;
 use trocar_rt::stream::{self, DropPolicy, Payload};
 
 use super::boundary::{CommandTarget, FnBinding, Lane, OutCell, RangeCheck, ReadTarget, Reader, Shape};
-use super::described::{Goal, PortSet};
+use super::core::Core;
+use super::described::PortSet;
+use super::goal::Goal;
 use super::inbox::Inbox;
-use super::instance::Instance;
 
 /// Most commands or events that may wait in one connection.
 pub(super) const MAILBOX_DEPTH: usize = 64;
@@ -90,7 +91,7 @@ pub(super) fn passing(
 /// Binding of a function to the command at position `id` of the server's set, queued through `inbox` where
 /// necessary.
 pub(super) fn target(
-    server: &Arc<Instance>,
+    server: &Arc<Core>,
     set: &PortSet,
     id: usize,
     inbox: &Arc<Inbox>,

@@ -14,7 +14,7 @@ use trocar_rt::os;
 use super::desk::{Asked, Desk};
 use super::executor::Executor;
 use super::instance::Instance;
-use super::supervise::Entry;
+use super::watch::Entry;
 
 /// Longest wait of a reply for a thread inside the component, ns, before it queues again.
 const PATIENCE_NS: u64 = 20_000_000;

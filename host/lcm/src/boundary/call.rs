@@ -15,9 +15,10 @@ use trocar_rt::mailbox::Mailbox;
 use trocar_rt::os;
 use trocar_rt::reply::ReplyPool;
 
+use super::super::books::Misuse;
 use super::super::context;
+use super::super::core::{Core, Entered};
 use super::super::inbox::{Inbox, Position};
-use super::super::instance::{Entered, Instance, Misuse};
 use super::far::{FarCommand, FarRead};
 use super::host_table::HostContext;
 use super::inside::misused;
@@ -138,7 +139,7 @@ impl Bound {
 
 /// A command of a server, reached through one connection's inbox.
 pub(crate) struct CommandTarget {
-    pub(crate) server: Arc<Instance>,
+    pub(crate) server: Arc<Core>,
     pub(crate) command: Arc<Position>,
     pub(crate) lane: Lane,
     pub(crate) range: Option<RangeCheck>,
@@ -242,11 +243,7 @@ impl CommandTarget {
     #[cold]
     fn turned_away(&self, arg: *const u8, outcome: Outcome) -> Outcome {
         if let Some(command) = self.command.get() {
-            self.server.described.look(|set| {
-                if let Some(tap) = set.command_tap.as_ref().filter(|tap| tap.is_listened()) {
-                    tap.tell(command, arg, outcome, false);
-                }
-            });
+            self.server.tell_turned_away(command, arg, outcome);
         }
         outcome
     }
@@ -353,7 +350,7 @@ impl CommandTarget {
     /// Counts the misuse at both ends.
     #[cold]
     fn would_block(&self) -> Outcome {
-        self.server.counters.misuse(Misuse::AskedToWait);
+        self.server.books.misuse(Misuse::AskedToWait);
         misused(Misuse::CalledFromStep);
         WOULD_BLOCK
     }

@@ -12,8 +12,8 @@ use trocar_rt::os;
 use trocar_rt::wake::Waker;
 
 use super::super::context;
+use super::super::core::Core;
 use super::super::inbox::{ENTRY_EVENT, Inbox, Position};
-use super::super::instance::Instance;
 use super::super::pending;
 use super::host_table::HostContext;
 use super::tap::EventTap;
@@ -31,7 +31,7 @@ pub(crate) enum EventSink {
 
 /// A handler of a connected component, reached through one connection's inbox.
 pub(crate) struct Handler {
-    pub(crate) observer: Arc<Instance>,
+    pub(crate) observer: Arc<Core>,
     pub(crate) inbox: Arc<Inbox>,
     /// Position in the inbox's table.
     pub(crate) index: u32,

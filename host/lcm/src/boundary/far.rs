@@ -18,9 +18,9 @@ use trocar_rt::segment::Word;
 use trocar_rt::state::StateReader;
 use trocar_rt::wake::Waker;
 
+use super::super::books::Misuse;
 use super::super::context;
 use super::super::gate::Standing;
-use super::super::instance::Misuse;
 use super::entry::ERR_BYTES;
 use super::here::OwnRead;
 use super::inside::misused;

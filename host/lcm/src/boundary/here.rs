@@ -15,7 +15,7 @@ use trocar_plugin_api::abi::{DISABLED, ErrBuf, NOT_ACTIVE, Outcome, STATUS_PANIC
 use trocar_rt::segment::Word;
 use trocar_rt::state::StateReader;
 
-use super::super::instance::LastWords;
+use super::super::books::LastWords;
 use super::class::LoadedClass;
 use super::hot::{Hot, Read};
 use super::mend::Mend;

@@ -5,28 +5,31 @@
 use std::ffi::c_void;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::{Arc, Weak};
 
 use trocar_model::ComponentId;
 
 use trocar_plugin_api::abi::{
-    ABI_MAJOR, ABI_MINOR, Bytes, HostTable, KEEP, Keep, NOT_ACTIVE, Outcome, PARALLEL, QUEUED,
+    ABI_MAJOR, ABI_MINOR, Bytes, HostTable, INVALID_ARGUMENT, KEEP, Keep, LOG_WARN, NOT_ACTIVE, Outcome,
+    PARALLEL, QUEUED, WOULD_BLOCK,
 };
 use trocar_rt::os;
 
+use super::super::books::Misuse;
+use super::super::context;
+use super::super::core::{Component, Core};
 use super::super::desk::{Account, Desk};
-use super::super::instance::Instance;
 use super::super::logs::{self, LogRing};
-use super::inside::component;
+use super::inside::running;
 use super::parallel;
 
 /// The data behind `HostTable::ctx` of one instance.
 pub(crate) struct HostContext {
     /// The component's number.
-    pub(crate) number: u32,
+    number: u32,
     id: ComponentId,
-    pub(crate) logs: Arc<LogRing>,
-    pub(crate) instance: OnceLock<Weak<Instance>>,
+    logs: Arc<LogRing>,
+    core: Weak<Core>,
     pub(crate) account: Account,
     desk: Arc<Desk>,
     /// True when the component's code keeps a handle that the host gave it, for an unknown time.
@@ -36,12 +39,12 @@ pub(crate) struct HostContext {
 }
 
 impl HostContext {
-    pub(crate) fn new(number: u32, id: ComponentId, logs: &Arc<LogRing>, desk: &Arc<Desk>) -> Arc<Self> {
+    pub(crate) fn new(core: &Arc<Core>, logs: &Arc<LogRing>, desk: &Arc<Desk>) -> Arc<Self> {
         Arc::new(Self {
-            number,
-            id,
+            number: core.number,
+            id: core.id.clone(),
             logs: logs.clone(),
-            instance: OnceLock::new(),
+            core: Arc::downgrade(core),
             account: Account::default(),
             desk: desk.clone(),
             held: AtomicBool::new(false),
@@ -82,13 +85,30 @@ impl HostContext {
         self.logs.push(self.number, log::Level::Warn as u32, logs::HOST.as_bytes(), &said[..len]);
     }
 
-    /// The instance; `None`, and that is noted, when it is gone.
-    fn instance(&self) -> Option<Arc<Instance>> {
-        let instance = self.instance.get().and_then(Weak::upgrade);
-        if instance.is_none() {
+    /// The core of the component; `None`, and that is noted, when the component is gone.
+    fn core(&self) -> Option<Arc<Core>> {
+        let core = self.core.upgrade().filter(|core| core.has_component());
+        if core.is_none() {
             self.note_late();
         }
-        instance
+        core
+    }
+
+    /// The component; `None`, and that is noted, when it is gone.
+    fn component(&self) -> Option<Arc<dyn Component>> {
+        self.core()?.component()
+    }
+
+    /// Asks for a service. Any thread of its code. Never waits, locks or allocates.
+    fn ask_service(&self, core: &Core, token: u64, request: &[u8]) -> Outcome {
+        if context::in_step() {
+            core.books.misuse(Misuse::ServiceFromStep);
+            return WOULD_BLOCK;
+        }
+        self.desk.ask(&self.account, self.number, token, request).unwrap_or_else(|why| {
+            core.log(LOG_WARN, b"services", why.as_bytes());
+            INVALID_ARGUMENT
+        })
     }
 
     /// The table for this context; the table keeps the context.
@@ -153,38 +173,32 @@ unsafe extern "C" fn log(ctx: *mut c_void, level: u32, target: Bytes, message: B
 /// Logs a line of a plugin that does not say for which instance: to the component whose code runs on this
 /// thread, else to the host's own log. Never waits when a component runs.
 pub fn plugin_log(plugin: &str, level: u32, target: &str, message: &str) {
-    // SAFETY: null, or the context of the instance that is being called on this very thread.
-    match unsafe { component().as_ref() } {
-        Some(host) => host.logs.push(host.number, level, target.as_bytes(), message.as_bytes()),
-        None => trocar_loader::log_to_crate(plugin, level, target, message),
+    if running(|core| core.log(level, target.as_bytes(), message.as_bytes())).is_none() {
+        trocar_loader::log_to_crate(plugin, level, target, message);
     }
 }
 
 /// A dynamic component service; see `services.rs`.
 unsafe extern "C" fn service(ctx: *mut c_void, token: u64, request: Bytes) -> Outcome {
     let host = context_of(ctx);
-    match host.instance() {
-        Some(instance) => instance.ask_service(token, text(&request)),
-        None => NOT_ACTIVE,
-    }
+    host.core().map_or(NOT_ACTIVE, |core| host.ask_service(&core, token, text(&request)))
 }
 
 unsafe extern "C" fn callback_enter(ctx: *mut c_void) -> Outcome {
-    context_of(ctx).instance().map_or(NOT_ACTIVE, |instance| instance.callback_enter())
+    context_of(ctx).core().map_or(NOT_ACTIVE, |core| core.callback_enter())
 }
 
 unsafe extern "C" fn callback_leave(ctx: *mut c_void) {
-    if let Some(instance) = context_of(ctx).instance.get().and_then(Weak::upgrade) {
-        instance.callback_leave();
+    if let Some(core) = context_of(ctx).core.upgrade() {
+        core.callback_leave();
     }
 }
 
 /// Asks for other ports: the component is described and bound again on its own thread, between two steps.
 unsafe extern "C" fn ports_changed(ctx: *mut c_void) -> Outcome {
-    match context_of(ctx).instance() {
-        Some(instance) => {
-            instance.described.wish();
-            instance.look_at_ports();
+    match context_of(ctx).component() {
+        Some(component) => {
+            component.wish_ports();
             QUEUED
         }
         None => NOT_ACTIVE,

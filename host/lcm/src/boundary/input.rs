@@ -25,7 +25,6 @@ use trocar_rt::timing::Histogram;
 
 use super::super::context;
 use super::host_table::HostContext;
-use super::output::OutCell;
 use super::{room, texts};
 
 /// Number of the next link of this process; never used twice, as an address would be.
@@ -93,6 +92,14 @@ unsafe impl Leave for InLink {
     fn left(&self) -> &Left<InLink> {
         &self.left
     }
+}
+
+/// What an input shows, to be passed on unchanged.
+pub(crate) enum Shown<'a> {
+    Frame(Frame),
+    Plain(&'a [u8]),
+    /// Nothing that could be passed on.
+    Nothing,
 }
 
 /// Samples of another layout, copied by name into room of the input's own type.
@@ -176,22 +183,22 @@ impl InLink {
         self.max_age_ns > 0 && age_ns > self.max_age_ns
     }
 
-    /// Publishes the sample held here through `output`, a frame without a copy. With `give` the frame leaves
-    /// this input, so that its next reader may be its only owner.
+    /// Gives `f` the sample held here, a frame without a copy. With `give` the frame leaves this input, so
+    /// that its next reader may be its only owner.
     ///
     /// # Safety
     /// Consuming component's thread only.
-    pub(super) unsafe fn pass_on(&self, output: &OutCell, stamp_ns: u64, give: bool) -> Outcome {
+    unsafe fn pass_on(&self, give: bool, f: impl FnOnce(Shown<'_>) -> Outcome) -> Outcome {
         // SAFETY: the caller's promise.
         let reader = unsafe { &mut *self.reader.get() };
         let frame = if give { reader.take_frame() } else { reader.frame().cloned() };
-        match (frame, reader.current()) {
-            (Some(frame), _) => output.forward_frame(frame, stamp_ns),
+        f(match (frame, reader.current()) {
+            (Some(frame), _) => Shown::Frame(frame),
             // An adapted sample has the layout of this input, not of its source.
-            (None, Some(_)) if self.adapt.is_some() => INVALID_ARGUMENT,
-            (None, Some(sample)) => output.forward_plain(sample.data, stamp_ns),
-            (None, None) => INVALID_ARGUMENT,
-        }
+            (None, Some(_)) if self.adapt.is_some() => Shown::Nothing,
+            (None, Some(sample)) => Shown::Plain(sample.data),
+            (None, None) => Shown::Nothing,
+        })
     }
 }
 
@@ -283,10 +290,10 @@ impl InCell {
         self.link.enter().as_ref().is_some_and(|link| link.is_stale(now_ns))
     }
 
-    /// Passes samples not seen yet on to `output` unchanged: as many as can wait at once, so that a flood
-    /// from another thread cannot keep the cycle from its end. True when there may be more. Component's
+    /// Gives `f` samples not seen yet, with their stamps, unchanged: as many as can wait at once, so that a
+    /// flood from another thread cannot keep the cycle from its end. True when there may be more. Component's
     /// thread only; real-time.
-    pub(crate) fn bypass(&self, output: &OutCell) -> bool {
+    pub(crate) fn bypass(&self, f: impl Fn(Shown<'_>, u64) -> Outcome) -> bool {
         let mut view = SampleView::EMPTY;
         let mut passed = 0;
         loop {
@@ -296,7 +303,7 @@ impl InCell {
             // SAFETY: component's thread only.
             let Some(link) = (unsafe { &*self.held.get() }) else { return false };
             // SAFETY: as above.
-            unsafe { link.pass_on(output, view.stamp_ns, true) };
+            unsafe { link.pass_on(true, |shown| f(shown, view.stamp_ns)) };
             passed += 1;
             if passed >= link.depth {
                 return true;
@@ -304,15 +311,15 @@ impl InCell {
         }
     }
 
-    /// Publishes the sample this input shows through `output`; `None` when `token` belongs to another input.
+    /// Gives `f` the sample this input shows; `None` when `token` belongs to another input.
     ///
     /// # Safety
     /// Component's thread only.
-    pub(super) unsafe fn pass_on(&self, token: u64, output: &OutCell, stamp_ns: u64) -> Option<Outcome> {
+    pub(super) unsafe fn pass_on(&self, token: u64, f: impl FnOnce(Shown<'_>) -> Outcome) -> Option<Outcome> {
         // SAFETY: the caller's promise.
         let link = unsafe { &*self.held.get() }.as_ref()?;
         // SAFETY: as above.
-        (link.serial == token).then(|| unsafe { link.pass_on(output, stamp_ns, false) })
+        (link.serial == token).then(|| unsafe { link.pass_on(false, f) })
     }
 
     /// Takes the present link and shows the sample that `pick` finds there. Component's thread only. Compiled

@@ -14,9 +14,8 @@ use trocar_rt::pool::Frame;
 use trocar_rt::stream::Meta;
 use trocar_rt::turn;
 
-use super::super::instance::Instance;
+use super::super::core::Core;
 use super::super::{context, pending};
-use super::output::{OutCell, OutLink};
 use super::told;
 
 /// Most deliveries a turn may defer; when the list is full, all of it is given at once.
@@ -32,6 +31,22 @@ thread_local! {
     static LATE: RefCell<Option<Late>> = const { RefCell::new(None) };
 }
 
+/// A tap whose samples may be deferred.
+pub(crate) trait LateTap {
+    /// Tells an event or command: the words before its payload, and the kept part of that payload. Any
+    /// thread. Real-time.
+    fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64);
+}
+
+/// A connection whose samples may be deferred.
+pub(crate) trait LateLink {
+    /// Pushes the sample now, to any kind of reader.
+    fn push_now(&self, value: &[u8], meta: Meta);
+
+    /// Pushes the frame now, to any kind of reader.
+    fn push_frame_now(&self, frame: Frame, meta: Meta);
+}
+
 /// Deferred deliveries of a thread; allocated with the thread, and never larger.
 struct Late {
     all: Vec<What>,
@@ -39,9 +54,9 @@ struct Late {
 }
 
 /// An object that stays in place until this turn ends, as the caller that noted it promises.
-struct Staying<T>(NonNull<T>);
+struct Staying<T: ?Sized>(NonNull<T>);
 
-impl<T> Staying<T> {
+impl<T: ?Sized> Staying<T> {
     fn new(what: &T) -> Staying<T> {
         Staying(NonNull::from(what))
     }
@@ -56,21 +71,21 @@ impl<T> Staying<T> {
 
 enum What {
     /// The newest row of its state table.
-    Row(Staying<Instance>),
+    Row(Staying<Core>),
     /// An event or command, with the words before its payload.
     Told {
-        tap: Staying<OutCell>,
+        tap: Staying<dyn LateTap>,
         words: [u32; 4],
         payload: Range<usize>,
         stamp_ns: u64,
     },
     Sample {
-        link: Staying<OutLink>,
+        link: Staying<dyn LateLink>,
         value: Range<usize>,
         meta: Meta,
     },
     Frame {
-        link: Staying<OutLink>,
+        link: Staying<dyn LateLink>,
         frame: Frame,
         meta: Meta,
     },
@@ -86,11 +101,11 @@ pub(crate) fn prepare() {
 
 /// Defers the newest row of a component; false where it has to be told now.
 #[inline(never)]
-pub(crate) fn row(instance: &Instance) -> bool {
+pub(crate) fn row(core: &Core) -> bool {
     // A component that this thread keeps is a member of its executor, which holds it through the whole turn.
-    let later = instance.object.is_kept_here() && has_room(0);
+    let later = core.object.is_kept_here() && has_room(0);
     if later {
-        note(&[], |_| What::Row(Staying::new(instance)));
+        note(&[], |_| What::Row(Staying::new(core)));
     }
     later
 }
@@ -100,7 +115,12 @@ pub(crate) fn row(instance: &Instance) -> bool {
 /// # Safety
 /// In a turn of this thread: `tap` was reached through a binding in that very turn, or belongs to a component
 /// this thread keeps.
-pub(super) unsafe fn told(tap: &OutCell, words: [u32; 4], payload: &[u8], stamp_ns: u64) -> bool {
+pub(super) unsafe fn told(
+    tap: &(dyn LateTap + 'static),
+    words: [u32; 4],
+    payload: &[u8],
+    stamp_ns: u64,
+) -> bool {
     let later = has_room(payload.len());
     if later {
         note(payload, |payload| What::Told { tap: Staying::new(tap), words, payload, stamp_ns });
@@ -112,7 +132,7 @@ pub(super) unsafe fn told(tap: &OutCell, words: [u32; 4], payload: &[u8], stamp_
 ///
 /// # Safety
 /// In a turn of this thread: `link` was reached through a binding in that very turn.
-pub(super) unsafe fn sample(link: &OutLink, value: &[u8], meta: Meta) -> bool {
+pub(super) unsafe fn sample(link: &(dyn LateLink + 'static), value: &[u8], meta: Meta) -> bool {
     let later = has_room(value.len());
     if later {
         note(value, |value| What::Sample { link: Staying::new(link), value, meta });
@@ -124,7 +144,7 @@ pub(super) unsafe fn sample(link: &OutLink, value: &[u8], meta: Meta) -> bool {
 ///
 /// # Safety
 /// As of [`sample`].
-pub(super) unsafe fn frame(link: &OutLink, frame: Frame, meta: Meta) -> Option<Frame> {
+pub(super) unsafe fn frame(link: &(dyn LateLink + 'static), frame: Frame, meta: Meta) -> Option<Frame> {
     // A deferred frame leaves slots of the pool free, as a frame in a queue does.
     if !has_room(0) || !frame.pool_has_free(LEFT_FREE) {
         give();
@@ -183,7 +203,7 @@ fn give_all() {
         // except when one unwinds; that ends its thread, and its notes are dropped unread.
         unsafe {
             match what {
-                What::Row(instance) => instance.get().tell_row_of_turn(),
+                What::Row(core) => core.get().tell_row_of_turn(),
                 What::Told { tap, words, payload, stamp_ns } => {
                     tap.get().tell_now(words, &bytes[payload], stamp_ns);
                 }
@@ -206,7 +226,7 @@ mod tests {
 
     use std::sync::Arc;
 
-    use super::super::output::{Consumer, OUTSIDE};
+    use super::super::output::{Consumer, OUTSIDE, OutLink};
     use super::*;
 
     const BYTES: usize = 2048;
@@ -220,7 +240,7 @@ mod tests {
     fn give_sample(link: &Arc<OutLink>, seq: u64, bytes: usize) {
         let (value, meta) = (vec![seq as u8; bytes], Meta { stamp_ns: seq, came_ns: 0, seq });
         // SAFETY: the caller holds it until its turn has ended.
-        if !unsafe { sample(link, &value, meta) } {
+        if !unsafe { sample(&**link, &value, meta) } {
             link.push_now(&value, meta);
         }
     }
@@ -294,7 +314,7 @@ mod tests {
         turn(|| {
             let lend = || pool.loan().expect("one is free").freeze(8);
             // SAFETY: held until the turn has ended.
-            let frame = |seq| unsafe { frame(&link, lend(), Meta { stamp_ns: seq, came_ns: 0, seq }) };
+            let frame = |seq| unsafe { frame(&*link, lend(), Meta { stamp_ns: seq, came_ns: 0, seq }) };
             assert!(frame(1).is_none());
             assert_eq!(pool.stats().free, 2);
             assert!(reader.next().is_none());

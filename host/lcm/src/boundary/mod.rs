@@ -61,5 +61,5 @@ pub(super) use range::RangeCheck;
 pub(super) use read::{ReadTarget, Reader, read_published};
 pub(super) use remains::AllRemains;
 pub(super) use same::{same_input, same_output, same_provided, same_required};
-pub(super) use tap::{CommandTap, EventTap};
+pub(super) use tap::{EventTap, command_tap, row_tap};
 pub(super) use texts::{as_bytes, sentence, text_in, write_err};

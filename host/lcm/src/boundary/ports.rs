@@ -98,7 +98,7 @@ fn room_for<'a>(outputs: impl Iterator<Item = &'a Output>) -> Result<(), NoRoom>
 }
 
 fn new_output(output: &Output) -> Result<Port<OutCell, OutSlot>, NoRoom> {
-    let cell = OutCell::new(&output.ty);
+    let cell = OutCell::new(&output.name, &output.ty);
     if let PortType::Frame { max_bytes, .. } = output.ty
         && max_bytes > 0
     {
@@ -268,11 +268,6 @@ impl Slots {
 
     pub(crate) fn output(&self, i: usize) -> &Arc<OutCell> {
         &self.outputs[i].cell
-    }
-
-    /// Position of the output that has this cell.
-    pub(super) fn output_of(&self, cell: &OutCell) -> Option<usize> {
-        self.outputs.iter().position(|port| std::ptr::eq(&*port.cell, cell))
     }
 
     pub(crate) fn input(&self, i: usize) -> &Arc<InCell> {

@@ -8,8 +8,9 @@ use trocar_plugin_api::abi::{
     CallOpts, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, NOT_ACTIVE, Outcome, STATUS_PANICKED,
 };
 
+use super::super::books::Misuse;
+use super::super::core::Core;
 use super::super::inbox::Position;
-use super::super::instance::{Instance, Misuse};
 use super::outcomes::{lacks, outcome_of};
 use super::range::RangeCheck;
 use super::row::{FEW_WORDS, LARGEST_ROW, MIDDLE_ROW, SMALL_ROW, TINY_ROW, bytes_of, with_row};
@@ -17,7 +18,7 @@ use super::texts::sentence;
 
 /// A read of a server: the class's own or one of the system interface.
 pub(crate) struct ReadTarget {
-    pub(crate) server: Arc<Instance>,
+    pub(crate) server: Arc<Core>,
     pub(crate) from: Reader,
     pub(crate) arg_bytes: usize,
     pub(crate) ret_bytes: usize,
@@ -90,7 +91,7 @@ pub(crate) struct Published {
 /// Answers a read, with as much of the sentence as there is room for. `arg` and `out` have the sizes of the
 /// command. `again`: the read panicked last time too, which was counted. Any thread, never waits.
 pub(crate) fn read_published(
-    server: &Instance,
+    server: &Core,
     from: &Reader,
     arg: &[u8],
     out: &mut [u8],
@@ -122,13 +123,7 @@ pub(crate) fn read_published(
 
 /// Answers a read from the server's last published row; any thread, never waits.
 #[inline]
-fn read_row(
-    server: &Instance,
-    command: u32,
-    arg: *const u8,
-    ret: *mut u8,
-    err: *mut ErrBuf,
-) -> (Outcome, u64) {
+fn read_row(server: &Core, command: u32, arg: *const u8, ret: *mut u8, err: *mut ErrBuf) -> (Outcome, u64) {
     let read = match server.state_bytes.div_ceil(8) {
         words if words <= FEW_WORDS => return read_copy::<FEW_WORDS>(server, command, arg, ret, err),
         words if words <= TINY_ROW => read_apart::<TINY_ROW>,
@@ -142,7 +137,7 @@ fn read_row(
 /// As `read_copy`, with its copy in a stack frame of its own.
 #[inline(never)]
 fn read_apart<const N: usize>(
-    server: &Instance,
+    server: &Core,
     command: u32,
     arg: *const u8,
     ret: *mut u8,
@@ -155,7 +150,7 @@ fn read_apart<const N: usize>(
 /// limit.
 #[inline]
 fn read_copy<const N: usize>(
-    server: &Instance,
+    server: &Core,
     command: u32,
     arg: *const u8,
     ret: *mut u8,
@@ -178,9 +173,9 @@ fn read_copy<const N: usize>(
 /// Counts a read that panicked. A read has no instance that could be distrusted: its caller is told, and the
 /// watchdog tells the world.
 #[cold]
-fn panicked(server: &Instance, command: u32, err: *mut ErrBuf) {
-    let ports = server.ports();
-    let name = ports.provided.iter().flat_map(|p| &p.commands).nth(command as usize).map_or("", |c| &c.name);
+fn panicked(server: &Core, command: u32, err: *mut ErrBuf) {
+    let name = server.name_of(command).unwrap_or_default();
+    let name = name.rsplit('/').next().unwrap_or_default();
     let text = format!("{name}: {}", sentence(err));
-    server.counters.failed(Misuse::ReadPanicked, text.as_bytes());
+    server.books.failed(Misuse::ReadPanicked, text.as_bytes());
 }

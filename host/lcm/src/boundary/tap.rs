@@ -4,39 +4,56 @@
 //! is connected for the first time it costs one relaxed load.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use trocar_loader::taps::{HEAD, MOST};
 use trocar_plugin_api::abi::Outcome;
 use trocar_rt::os;
 use trocar_rt::stream::Meta;
 
+use super::super::core::{CommandTap, RowTap, TellsCommands, TellsRows};
 use super::super::pending;
 use super::inside::runs_kept;
-use super::late;
+use super::late::{self, LateTap};
 use super::output::OutCell;
 
 /// The tap of an event.
 #[derive(Clone)]
 pub(crate) struct EventTap {
-    pub(crate) cell: Arc<OutCell>,
+    listened: Arc<AtomicBool>,
+    cell: Arc<OutCell>,
     /// ABI id of the event.
-    pub(crate) which: u32,
+    which: u32,
 }
 
 /// The tap of an instance's commands.
-#[derive(Clone)]
-pub(crate) struct CommandTap {
-    pub(crate) cell: Arc<OutCell>,
+struct Commands {
+    cell: Arc<OutCell>,
     /// Bytes of the argument of each command, by ABI id.
-    pub(crate) arg_bytes: Arc<[usize]>,
+    arg_bytes: Box<[usize]>,
+}
+
+/// The tap of the rows, told through this output.
+pub(crate) fn row_tap(cell: &Arc<OutCell>) -> RowTap {
+    RowTap::new(cell.listened().clone(), cell.clone())
+}
+
+/// The tap of the commands, told through this output. `arg_bytes`: bytes of the argument of each command, by
+/// ABI id.
+pub(crate) fn command_tap(cell: &Arc<OutCell>, arg_bytes: Box<[usize]>) -> CommandTap {
+    CommandTap::new(cell.listened().clone(), Arc::new(Commands { cell: cell.clone(), arg_bytes }))
 }
 
 impl EventTap {
+    /// `which`: ABI id of the event that is told through this output.
+    pub(crate) fn new(cell: &Arc<OutCell>, which: u32) -> EventTap {
+        EventTap { listened: cell.listened().clone(), cell: cell.clone(), which }
+    }
+
     /// Any thread. Real-time.
     #[inline(always)]
     pub(super) fn tell(&self, payload: &[u8]) {
-        if self.cell.is_listened() {
+        if self.listened.load(Ordering::Relaxed) {
             self.tell_all(payload, runs_kept());
         }
     }
@@ -49,17 +66,9 @@ impl EventTap {
     }
 }
 
-impl CommandTap {
-    #[inline(always)]
-    pub(crate) fn is_listened(&self) -> bool {
-        self.cell.is_listened()
-    }
-
-    /// Tells that a command of this ABI id came to `outcome`. `arg` is its argument, lent by its caller.
-    /// `later`: this thread ran the command and keeps the component of this tap for its turn. Any thread.
-    /// Real-time.
+impl TellsCommands for Commands {
     #[inline(never)]
-    pub(crate) fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, later: bool) {
+    fn tell(&self, command: u32, arg: *const u8, outcome: Outcome, later: bool) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept: &[u8] = if whole == 0 || arg.is_null() {
             &[]
@@ -71,9 +80,8 @@ impl CommandTap {
         tell(&self.cell, words(command, outcome, kept, whole), kept, later);
     }
 
-    /// As [`CommandTap::tell`], for an argument that may be of any length: another process put it there.
     #[cold]
-    pub(crate) fn tell_queued(&self, command: u32, arg: &[u8], outcome: Outcome) {
+    fn tell_queued(&self, command: u32, arg: &[u8], outcome: Outcome) {
         let Some(whole) = self.arg_bytes.get(command as usize).copied() else { return };
         let kept = &arg[..arg.len().min(whole).min(MOST)];
         tell(&self.cell, words(command, outcome, kept, whole), kept, false);
@@ -81,11 +89,11 @@ impl CommandTap {
 }
 
 /// Tells a sample when this thread's turn ends if it may be told `later`, else at once.
-fn tell(tap: &OutCell, words: [u32; 4], kept: &[u8], later: bool) {
+fn tell(tap: &Arc<OutCell>, words: [u32; 4], kept: &[u8], later: bool) {
     let stamp_ns = os::now_ns();
     // SAFETY: `later` is true only for a tap reached through the event's binding in this turn, or for that of
     // a component this thread keeps.
-    if !later || !unsafe { late::told(tap, words, kept, stamp_ns) } {
+    if !later || !unsafe { late::told(&**tap, words, kept, stamp_ns) } {
         tap.tell_now(words, kept, stamp_ns);
     }
 }
@@ -94,26 +102,18 @@ fn words(command: u32, outcome: Outcome, kept: &[u8], whole: usize) -> [u32; 4] 
     [command, outcome.cast_unsigned(), kept.len() as u32, whole as u32]
 }
 
-impl OutCell {
-    /// Tells whether a reader was ever connected to this tap: from then on its samples are numbered, so that
-    /// none goes missing unnoticed.
-    #[inline(always)]
-    pub(crate) fn is_listened(&self) -> bool {
-        self.listened.load(Ordering::Relaxed)
-    }
-
-    /// Tells a row of the state table, the `row`th that was published. One thread at a time. Real-time.
+impl TellsRows for OutCell {
     #[inline(never)]
-    pub(crate) fn tell_row(&self, bytes: &[u8], stamp_ns: u64, row: u64) {
+    fn tell_row(&self, bytes: &[u8], stamp_ns: u64, row: u64) {
         self.seq.store(row, Ordering::Relaxed);
         self.total_bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         self.outs.look(|outs| outs.tell(bytes, &[], Meta { stamp_ns, came_ns: stamp_ns, seq: row }));
     }
+}
 
-    /// Tells an event or command: the words before its payload, and the kept part of that payload. Any
-    /// thread. Real-time.
+impl LateTap for OutCell {
     #[inline(never)]
-    pub(crate) fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64) {
+    fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64) {
         let mut head = [0; HEAD];
         for (to, word) in head.chunks_exact_mut(4).zip(words) {
             to.copy_from_slice(&word.to_le_bytes());
@@ -132,8 +132,6 @@ impl OutCell {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use trocar_model::{PortType, Prim, Type};
     use trocar_plugin_api::abi::{EXECUTED, UNBOUND};
     use trocar_rt::stream::{Payload, Queue, stream_link};
@@ -145,8 +143,8 @@ mod tests {
     #[test]
     fn whoever_sends_an_event_does_not_notice_its_tap() {
         let ty = PortType::Plain(Type::Array { item: Box::new(Type::Prim(Prim::U8)), n: HEAD + 8 });
-        let (event, cell) = (EventCell::new(4), Arc::new(OutCell::new(&ty)));
-        event.set_tap(Some(EventTap { cell: cell.clone(), which: 3 }));
+        let (event, cell) = (EventCell::new(4), Arc::new(OutCell::new("tap", &ty)));
+        event.set_tap(Some(EventTap::new(&cell, 3)));
         assert_eq!(event.emit(&[1, 2, 3, 4]), UNBOUND);
         assert_eq!(cell.seq.load(Ordering::Relaxed), 0, "nobody was ever connected: not even counted");
         let (writer, mut reader) = stream_link(Payload::Plain { bytes: HEAD + 8 }, Queue::Latest);
@@ -169,11 +167,11 @@ mod tests {
     fn a_payload_that_is_too_long_is_cut_and_says_so() {
         let n = HEAD + MOST;
         let ty = PortType::Plain(Type::Array { item: Box::new(Type::Prim(Prim::U8)), n });
-        let cell = Arc::new(OutCell::new(&ty));
+        let cell = Arc::new(OutCell::new("tap", &ty));
         let (writer, mut reader) = stream_link(Payload::Plain { bytes: n }, Queue::Latest);
         cell.add(Arc::new(OutLink::new(OUTSIDE, writer, Consumer::Outside, true)), &ty, &"".into());
         let arg = vec![7u8; MOST + 100];
-        let tap = CommandTap { cell, arg_bytes: Arc::new([0, arg.len()]) };
+        let tap = command_tap(&cell, Box::new([0, arg.len()])).to;
         tap.tell(1, arg.as_ptr(), EXECUTED, false);
         let data = reader.next().map(|sample| sample.data.to_vec()).unwrap_or_default();
         let word =

@@ -3,14 +3,16 @@
 //!
 //! Invariant: each caller is answered by its deadline.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 use tokio::time::timeout_at;
 use trocar_model::{MemberId, Refusal};
 
+use super::super::books::Misuse;
 use super::super::boundary::{Answer, ReadTarget};
-use super::super::instance::Misuse;
+use super::super::instance::Instance;
 use super::super::reading::Late;
 use super::GRACE;
 
@@ -27,9 +29,9 @@ pub(super) struct Asked {
 ///
 /// # Errors
 /// DEADLINE when it has not returned; COMMAND_FAILED at once where an earlier one has not; NoThread.
-pub(super) async fn answer(read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
+pub(super) async fn answer(server: Arc<Instance>, read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
     let member = asked.member.clone();
-    let bounded = tokio::spawn(bounded(read, asked));
+    let bounded = tokio::spawn(bounded(server, read, asked));
     bounded.await.unwrap_or_else(|e| Err(panicked(&member, &e.to_string())))
 }
 
@@ -37,9 +39,8 @@ fn panicked(member: &MemberId, why: &str) -> Refusal {
     Refusal::Internal { text: format!("reading {member} panicked: {why}") }
 }
 
-async fn bounded(read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
+async fn bounded(server: Arc<Instance>, read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
     let Asked { member, arg, ret_bytes, deadline_ns } = asked;
-    let server = read.server.clone();
     let (reading, name) = (&server.reading, format!("{}/{}", member.port.port, member.member));
     let deadline =
         |may_still_run| Refusal::Deadline { member: member.clone(), after_ns: deadline_ns, may_still_run };
@@ -53,10 +54,11 @@ async fn bounded(read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
     reading.refuse(&member, &name)?;
     let ticket = reading.ticket();
     let (tell, mut told) = oneshot::channel();
+    let of = server.clone();
     let run = move || {
         // A failure means that the caller has given up.
         let _ = tell.send(read.answer(&arg, ret_bytes));
-        read.server.reading.came_back(ticket);
+        of.reading.came_back(ticket);
         drop(place);
     };
     server
@@ -71,7 +73,7 @@ async fn bounded(read: ReadTarget, asked: Asked) -> Result<Answer, Refusal> {
             if let Some(answer) = reading.give_up(late, &mut told) {
                 return Ok(answer);
             }
-            server.counters.failed(Misuse::ReadHung, name.as_bytes());
+            server.books.failed(Misuse::ReadHung, name.as_bytes());
             Err(deadline(true))
         }
     }

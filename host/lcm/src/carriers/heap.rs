@@ -110,13 +110,13 @@ impl Joined for OnHeap {
                 }
                 self.server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
                 self.client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
-                self.server.counters.lose(commands_in.events, commands_in.lost());
-                self.client.counters.lose(events_in.events, events_in.lost());
+                self.server.books.lose(commands_in.events, commands_in.lost());
+                self.client.books.lose(events_in.events, events_in.lost());
                 commands_in.close(PEER_LOST);
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);
-                self.client.counters.lose(events_in.events, events_in.unexecuted() - before);
-                self.server.counters.lose(commands_in.events, commands_in.unexecuted());
+                self.client.books.lose(events_in.events, events_in.unexecuted() - before);
+                self.server.books.lose(commands_in.events, commands_in.unexecuted());
                 commands_in.tell_toll(&*self.server);
             }
         }
@@ -186,7 +186,7 @@ fn streams(both: &Both<'_>, input: usize, output: usize, adapt: bool) -> Result<
     let (newest, stamp) = Newest::here();
     let link = Arc::new(InLink::new(reader, depth, max_age_ns, newest, described.clone(), adapt));
     in_cell.connect(Some(link.clone()));
-    let consumer = Consumer::Here(client.clone(), (max_age_ns > 0).then_some(stamp));
+    let consumer = Consumer::Here(client.core.clone(), (max_age_ns > 0).then_some(stamp));
     let out = Arc::new(OutLink::new(connection.id.0, writer, consumer, to_set.ports.looks_on(input)));
     out_cell.add(out, &ty, &described);
     Ok(Ends::Stream { input: in_cell.clone(), output: out_cell.clone(), link, stats, shape, depth })
@@ -222,7 +222,7 @@ fn interfaces(both: &Both<'_>, binding: &Binding) -> Ends {
     let deadline_ns = connection.options.deadline_ns.unwrap_or(DEFAULT_DEADLINE_NS);
     let functions = binding.functions.iter().enumerate().map(|(index, (function, id))| {
         let cell = to_set.slots.function(*function);
-        let to = target(server, from_set, *id, &commands_in, index, deadline_ns);
+        let to = target(&server.core, from_set, *id, &commands_in, index, deadline_ns);
         cell.bind(to, back::command(commands[*id]));
         cell.clone()
     });
@@ -230,7 +230,7 @@ fn interfaces(both: &Both<'_>, binding: &Binding) -> Ends {
     let events = binding.handlers.iter().enumerate().map(|(index, (handler, event))| {
         let cell = from_set.slots.event(*event);
         let sink = Arc::new(EventSink::Handler(Handler {
-            observer: client.clone(),
+            observer: client.core.clone(),
             inbox: events_in.clone(),
             index: index as u32,
             position: to_set.handlers[*handler].clone(),

@@ -14,7 +14,8 @@ use trocar_rt::wake::Waker;
 
 use super::super::ends::{Joined, Tell};
 use super::super::far::{Far, Half, NAME, Near};
-use super::super::instance::{Instance, Loss};
+use super::super::instance::Instance;
+use super::super::loss::Loss;
 use super::{Both, Carrier, Halves, OneEnd};
 
 pub(super) struct Memfd {

@@ -18,7 +18,8 @@ use trocar_rt::wake::Waker;
 
 use super::described::PortSet;
 use super::ends::{Here, Joined, Kin, Role, Tell};
-use super::instance::{Instance, Loss};
+use super::instance::Instance;
+use super::loss::Loss;
 use inline::Inline;
 use memfd::Memfd;
 

@@ -12,8 +12,8 @@ use trocar_rt::segment::Word;
 use trocar_rt::state::StateWriter;
 
 use super::super::boundary::{ERR_BYTES, Reader, read_published};
+use super::super::core::{Core, ShownRows, View};
 use super::super::inbox::Position;
-use super::super::instance::{Instance, ShownRows, View};
 use super::super::kept::Kept;
 
 /// Time between two publications of period statistics, ns: they are sums over many cycles.
@@ -77,7 +77,7 @@ impl Face {
     }
 }
 
-impl View for Face {
+impl View<Core> for Face {
     fn rows(&self) -> Option<&Arc<ShownRows>> {
         self.rows.as_ref()
     }
@@ -98,7 +98,7 @@ impl View for Face {
 
     /// Shows the present state of the server. A thread that changes it comes here afterwards, so the last one
     /// to come shows the last change.
-    fn show_standing(&self, server: &Instance) {
+    fn show_standing(&self, server: &Core) {
         loop {
             let now = server.standing();
             self.standing.set(now as u64);
@@ -111,7 +111,7 @@ impl View for Face {
     }
 
     /// Shows the present results of the reads. Real-time.
-    fn show_row(&self, server: &Instance) {
+    fn show_row(&self, server: &Core) {
         if let Some(results) = &self.results {
             results.write(|shown| shown.iter_mut().for_each(|read| read.publish(server)));
         }
@@ -119,7 +119,7 @@ impl View for Face {
 
     /// Shows the present statistics, unless they were shown a moment ago. Never on a thread that steps: they
     /// are sums over many cycles.
-    fn show_figures(&self, server: &Instance) {
+    fn show_figures(&self, server: &Core) {
         let Some(figures) = &self.figures else { return };
         figures.write(|figures| {
             let now_ns = os::now_ns();
@@ -136,7 +136,7 @@ impl Shown {
         Shown { from, bytes, table, whys, panicked: false }
     }
 
-    fn publish(&mut self, server: &Instance) {
+    fn publish(&mut self, server: &Core) {
         let (from, bytes, again) = (&self.from, self.bytes, self.panicked);
         let mut text = [0; ERR_BYTES];
         let (whys, panicked) = (&mut self.whys, &mut self.panicked);

@@ -7,16 +7,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use trocar_lcm_api::{HalfReport, LinkDetail};
-use trocar_links::{Card, Session};
+use trocar_links::{Card, Links, Session};
 use trocar_model::{Connection, End, PortId, Ports, Proxy, Refusal};
 
 use super::super::described::PortSet;
 use super::super::ends::{Here, Kin, Role, Tell};
-use super::super::instance::Loss;
+use super::super::loss::Loss;
 use super::super::passage::passing;
+use super::client::ClientWires;
 use super::missed::Missed;
+use super::server::ServerWires;
 use super::terms::{Terms, Way};
-use super::wires::{ClientWires, ServerWires};
 
 /// Time a server's process may take to answer before it is asked again.
 const ANSWER: Duration = Duration::from_secs(1);
@@ -108,6 +109,17 @@ impl Half {
 
     pub(super) fn asked(&self, over: Option<&Session>) {
         self.stage().asked = over.map(|session| (session.number(), Instant::now()));
+    }
+
+    /// Reason why it is not linked, when no reason was given yet.
+    pub(super) fn unsaid(&self, links: &Links) -> String {
+        let other = self.other();
+        match self.role {
+            Role::Client => links
+                .why_not(&self.card.socket)
+                .unwrap_or_else(|| format!("process {other} has not answered yet")),
+            Role::Server => format!("process {other} has not asked for it yet"),
+        }
     }
 
     /// Takes over the counts of another half of the same connection.

@@ -3,10 +3,9 @@
 //! Invariant: a half is in the list from the moment it is added until it is removed; only the thread
 //! `trocar-far` (`worker.rs`) links and unlinks. The thread of the sessions never waits for it.
 
-use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use tokio::sync::oneshot;
@@ -14,55 +13,11 @@ use trocar_lcm_api::{HalfReport, LinkDetail};
 use trocar_links::{Card, Handler, Links, Lost, Message, Session};
 use trocar_model::ComponentId;
 use trocar_rt::house;
-use trocar_rt::wake::Waker;
 
-use super::super::instance::Loss;
+use super::super::loss::Loss;
 use super::half::Half;
-use super::worker::{Worker, unsaid};
-
-pub(super) type Halves = Arc<Mutex<BTreeMap<u64, Arc<Half>>>>;
-
-pub(super) fn locked(halves: &Halves) -> MutexGuard<'_, BTreeMap<u64, Arc<Half>>> {
-    halves.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-pub(super) fn all(halves: &Halves) -> Vec<Arc<Half>> {
-    locked(halves).values().cloned().collect()
-}
-
-pub(super) enum Todo {
-    Met(Arc<Session>),
-    Said(Arc<Session>, Message),
-    Lost(Arc<Session>, String),
-    /// The half is in the list, and replaced this other one there.
-    Added(Arc<Half>, Option<Arc<Half>>),
-    /// The half is not in the list any more.
-    Removed(Arc<Half>, Loss, oneshot::Sender<()>),
-    Stop,
-}
-
-/// Tasks of `trocar-far`. Its bell is also rung by outputs that give frames of a pool the reader does not
-/// know.
-#[derive(Default)]
-pub(super) struct Todos {
-    queue: Mutex<VecDeque<Todo>>,
-    pub(super) bell: Arc<Waker>,
-}
-
-impl Todos {
-    fn queue(&self) -> MutexGuard<'_, VecDeque<Todo>> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn push(&self, todo: Todo) {
-        self.queue().push_back(todo);
-        self.bell.notify();
-    }
-
-    pub(super) fn next(&self) -> Option<Todo> {
-        self.queue().pop_front()
-    }
-}
+use super::todo::{Halves, Todo, Todos, all, locked};
+use super::worker::Worker;
 
 /// All connections of this process to others.
 pub(crate) struct Far {
@@ -161,12 +116,12 @@ impl Far {
             return "it was disconnected".into();
         };
         let why = half.stage().why.clone();
-        if why.is_empty() { unsaid(&self.links, &half) } else { why }
+        if why.is_empty() { half.unsaid(&self.links) } else { why }
     }
 
     pub(crate) fn details(&self) -> Vec<LinkDetail> {
         let halves = self.halves().into_iter().map(|half| {
-            let HalfReport { end, proxy, .. } = half.report(|| unsaid(&self.links, &half));
+            let HalfReport { end, proxy, .. } = half.report(|| half.unsaid(&self.links));
             LinkDetail { halves: proxy.map(|proxy| (end, proxy)).into_iter().collect(), ..half.detail() }
         });
         halves.collect()
@@ -174,7 +129,7 @@ impl Far {
 
     /// State of each half.
     pub(crate) fn reports(&self) -> Vec<HalfReport> {
-        self.halves().iter().map(|half| half.report(|| unsaid(&self.links, half))).collect()
+        self.halves().iter().map(|half| half.report(|| half.unsaid(&self.links))).collect()
     }
 
     /// Cuts all and ends the threads.

@@ -4,7 +4,7 @@
 //! from its first to its last. So the samples between the last of one link and the first of the next were
 //! lost, whenever exactly either link was cut or wired up.
 
-use super::wires::Offered;
+use super::server::Offered;
 
 /// Count over all links of one connection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

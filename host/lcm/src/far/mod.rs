@@ -6,6 +6,7 @@
 //! rest.
 
 mod asks;
+mod client;
 mod face;
 mod half;
 mod kin;
@@ -13,9 +14,10 @@ mod manager;
 mod missed;
 mod near;
 mod pools;
+mod server;
 mod serving;
 mod terms;
-mod wires;
+mod todo;
 mod words;
 mod worker;
 

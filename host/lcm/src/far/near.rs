@@ -19,14 +19,15 @@ use trocar_rt::wake::Waker;
 
 use super::super::described::PortSet;
 use super::super::ends::{Here, Joined};
-use super::super::instance::Loss;
+use super::super::loss::Loss;
 use super::super::passage::{passing, target};
 use super::NAME;
 use super::asks::Asks;
+use super::client::ClientWires;
 use super::missed::Missed;
+use super::server::{Offer, Offered, ServerWires};
 use super::serving::Desk;
 use super::terms::{Terms, Way, commands};
-use super::wires::{ClientWires, Offer, Offered, ServerWires, header_bytes};
 
 /// Connections of this kind in one process.
 pub(crate) struct Near {
@@ -183,7 +184,7 @@ impl Pair {
         offer.expect_pools(&way, from);
         let at_server =
             ServerWires::connect(offer, &way, connection, (server, from), None, |_| Desk::closed())?;
-        let views = FarViews::new(header_bytes(&way));
+        let views = FarViews::new(way.header_bytes());
         let nobody = Asks::of_nobody(connection.id.0, epoch);
         let ports = (&*from.ports, nobody, None);
         let at_client =
@@ -232,7 +233,7 @@ fn look_directly(
     let reads = binding.functions.iter().filter(|(_, id)| all[*id].kind.is_read());
     for (function, id) in reads {
         let deadline_ns = connection.options.deadline_ns.unwrap_or_default();
-        let read = target(&server.instance, from, *id, &from.external, *id, deadline_ns);
+        let read = target(&server.instance.core, from, *id, &from.external, *id, deadline_ns);
         to.slots.function(*function).bind(read, back::command(all[*id]));
     }
 }

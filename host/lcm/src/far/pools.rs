@@ -9,7 +9,7 @@ use trocar_links::Message;
 use trocar_rt::pool::PoolFile;
 use trocar_rt::stream::FarViews;
 
-use super::wires::ServerWires;
+use super::server::ServerWires;
 use super::words::Pool;
 
 /// Pools that are not announced to the other end yet.

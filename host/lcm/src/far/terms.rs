@@ -5,6 +5,7 @@
 
 use sha2::{Digest, Sha256};
 use trocar_loader::convert::back;
+use trocar_loader::system;
 use trocar_model::{
     Binding, ClassInfo, Command, CommandKind, Connection, CopyRun, Link, PortType, Ports, Refusal, Type,
     bindings,
@@ -34,6 +35,21 @@ pub(super) enum Way {
         binding: Binding,
         shape: CallShape,
     },
+}
+
+impl Way {
+    /// Bytes in front of the frames of a stream; 0 without frames.
+    pub(super) fn header_bytes(&self) -> usize {
+        match self {
+            Way::Stream { ty: PortType::Frame { header, .. }, .. } => header.size(),
+            _ => 0,
+        }
+    }
+}
+
+/// Tells whether the command with this number is GetState.
+pub(super) fn is_status(server: &Ports, id: usize) -> bool {
+    id == server.first_command(server.provided.len().saturating_sub(1)) + system::GET_STATE
 }
 
 pub(super) fn size(ty: Option<&Type>) -> usize {

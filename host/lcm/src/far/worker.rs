@@ -18,15 +18,15 @@ use trocar_rt::stream::{FarPools, FarViews};
 
 use super::super::boundary::{FarServer, ReadAnswer};
 use super::super::ends::Role;
-use super::super::instance::{Loss, ShownRows};
+use super::super::loss::Loss;
 use super::asks::Asks;
+use super::client::{ClientWires, Own};
 use super::half::{Half, Linked, Wires};
-use super::kin::code_of;
-use super::manager::{Halves, Todo, Todos, all, locked};
+use super::kin::{code_of, rows_for};
 use super::pools::{Untold, all_came, map};
+use super::server::{Offer, ServerWires};
 use super::serving::{Desk, Question};
-use super::terms::of_rows;
-use super::wires::{ClientWires, Offer, Own, ServerWires, header_bytes};
+use super::todo::{Halves, Todo, Todos, all, locked};
 use super::words::{Pool, Words};
 
 /// Time between looks at links of frames: for pools not announced to their other end yet, and for returned
@@ -63,17 +63,6 @@ pub(super) struct Worker {
     news: Box<dyn Fn(HalfReport) + Send>,
 }
 
-/// Reason why a half is not linked, when no reason was given yet.
-pub(super) fn unsaid(links: &Links, half: &Half) -> String {
-    let other = half.other();
-    match half.role {
-        Role::Client => links
-            .why_not(&half.card.socket)
-            .unwrap_or_else(|| format!("process {other} has not answered yet")),
-        Role::Server => format!("process {other} has not asked for it yet"),
-    }
-}
-
 fn say(session: &Session, words: &Words, behind: &[u8], files: &[OwnedFd]) -> Result<(), String> {
     let files: Vec<_> = files.iter().map(AsFd::as_fd).collect();
     session.send(&words.encode(behind), &files).map_err(|e| e.to_string())
@@ -84,23 +73,6 @@ fn tell_panics(session: &Session, (connection, epoch): (u64, u64), wires: &mut C
     if let Some((count, text)) = wires.untold_panics() {
         let _ = say(session, &Words::Panicked { connection, epoch, count }, text.as_bytes(), &[]);
     }
-}
-
-/// The rows of a half's component and their file, for a client whose process has this code of its class;
-/// `None` for any other client, or if the rows cannot be had: then the client asks.
-fn rows_for(half: &Half, code: Option<String>) -> Option<(Arc<ShownRows>, OwnedFd)> {
-    let server = &half.here.instance;
-    let reads = half.terms(true).is_ok_and(|(_, terms)| terms.works_reads_out());
-    if !reads || code.is_none() || code != code_of(&server.info) {
-        return None;
-    }
-    let make = || {
-        let (bytes, agreed) = of_rows(&server.info);
-        ShownRows::create(bytes, agreed)
-    };
-    let rows = server.shown_rows().map_or_else(make, Ok).and_then(|rows| Ok((rows.clone(), rows.fd()?)));
-    let stem = "its rows cannot be shown to other processes, so that their steps cannot call reads of it with an argument";
-    rows.inspect_err(|e| server.warn_about(stem, &format!(": {e}"))).ok()
 }
 
 impl Worker {
@@ -188,7 +160,7 @@ impl Worker {
             if self.told.get(&half.number()).is_some_and(|told| half.stands_as(told)) {
                 continue;
             }
-            let report = half.report(|| unsaid(&self.links, half));
+            let report = half.report(|| half.unsaid(&self.links));
             if self.told.get(&report.connection) != Some(&report) {
                 (self.news)(report.clone());
                 self.told.insert(report.connection, report);
@@ -356,20 +328,44 @@ impl Worker {
             }
             return;
         };
-        match (half.role, words) {
-            (Role::Client, Words::Offered { .. }) => self.open(&half),
-            (Role::Client, Words::Opened { epoch, rows, pools, .. }) => {
-                self.opened(session, &half, (epoch, rows, &pools), message);
+        // A message about an earlier link says nothing new.
+        if let Words::Close { epoch, .. } = words {
+            if half.with_wires(session, epoch, |_| ()).is_some() {
+                let why = format!("process {} has disconnected it", half.other());
+                self.unlink(&half, Some(session), &why, Loss::Cut, false);
             }
-            (Role::Client, Words::Declined { why, later, .. }) => {
+            return;
+        }
+        match half.role {
+            Role::Client => {
+                let behind = behind.to_vec();
+                self.said_by_server(session, &half, words, &behind, message);
+            }
+            Role::Server => self.said_by_client(session, &half, words, behind),
+        }
+    }
+
+    /// Handles what the server's process says to a client here; what only a client says is ignored.
+    fn said_by_server(
+        &mut self,
+        session: &Arc<Session>,
+        half: &Arc<Half>,
+        words: Words,
+        behind: &[u8],
+        message: Message,
+    ) {
+        match words {
+            Words::Offered { .. } => self.open(half),
+            Words::Opened { epoch, rows, pools, .. } => {
+                self.opened(session, half, (epoch, rows, &pools), message);
+            }
+            Words::Declined { why, later, .. } => {
                 half.asked(None);
                 let why = trocar_model::plain::sentence(why.as_bytes());
                 half.fail(format!("process {} declines: {why}", half.other()), !later);
             }
-            (Role::Client, Words::Pools { epoch, pools, .. }) => {
-                self.pools(session, &half, epoch, &pools, message)
-            }
-            (Role::Client, Words::Told { epoch, number, outcome, stamp_ns, value_bytes, .. }) => {
+            Words::Pools { epoch, pools, .. } => self.pools(session, half, epoch, &pools, message),
+            Words::Told { epoch, number, outcome, stamp_ns, value_bytes, .. } => {
                 let (value, text) = behind.split_at(behind.len().min(value_bytes as usize));
                 let text = trocar_model::plain::sentence(text);
                 let answer = ReadAnswer { outcome, stamp_ns, value: value.to_vec(), text };
@@ -379,20 +375,27 @@ impl Worker {
                     }
                 });
             }
-            (Role::Client, Words::Toll { epoch, failed, unexecuted, .. })
+            Words::Toll { epoch, failed, unexecuted, .. }
                 if half.with_wires(session, epoch, |_| ()).is_some() =>
             {
                 half.pay(failed, unexecuted);
             }
-            (Role::Server, Words::Open { hash, code, .. }) => self.opens(session, &half, hash, code),
-            (Role::Server, Words::Panicked { epoch, count, .. }) => {
+            _ => {}
+        }
+    }
+
+    /// Handles what the client's process says to a server here; what only a server says is ignored.
+    fn said_by_client(&mut self, session: &Arc<Session>, half: &Arc<Half>, words: Words, behind: &[u8]) {
+        match words {
+            Words::Open { hash, code, .. } => self.opens(session, half, hash, code),
+            Words::Panicked { epoch, count, .. } => {
                 half.with_wires(session, epoch, |wires| {
                     if let Wires::Server(wires) = wires {
                         wires.panicked(count, behind, (&half.here, half.other()));
                     }
                 });
             }
-            (Role::Server, Words::Ask { epoch, number, index, left_ns, .. }) => {
+            Words::Ask { epoch, number, index, left_ns, .. } => {
                 let until_ns = os::now_ns().saturating_add(left_ns);
                 let question = Question { number, index, until_ns, arg: behind.to_vec() };
                 half.with_wires(session, epoch, |wires| {
@@ -401,12 +404,6 @@ impl Worker {
                     }
                 });
             }
-            // A message about an earlier link says nothing new.
-            (_, Words::Close { epoch, .. }) if half.with_wires(session, epoch, |_| ()).is_some() => {
-                let why = format!("process {} has disconnected it", half.other());
-                self.unlink(&half, Some(session), &why, Loss::Cut, false);
-            }
-            // A message from the wrong end: it is ignored.
             _ => {}
         }
     }
@@ -491,7 +488,7 @@ impl Worker {
                 None
             };
             let (set, terms) = half.terms(own.is_some()).map_err(|refusal| refusal.to_string())?;
-            let views = FarViews::new(header_bytes(&terms.way));
+            let views = FarViews::new(terms.way.header_bytes());
             map(&views, pools, files)?;
             let wires = ClientWires::connect(
                 (memory, Agreed { hash: terms.hash, epoch }),

@@ -12,8 +12,8 @@ use trocar_model::{ComponentId, Health, State};
 use trocar_rt::os;
 
 use super::super::boundary::EntryError;
-use super::super::gate::{pack, unpack};
 use super::super::inbox::Party;
+use super::super::loss::Loss;
 use super::super::realtime::Settings;
 use super::super::supervise::Moment;
 use super::super::{News, Report, context};
@@ -21,29 +21,6 @@ use super::Instance;
 
 /// Most warnings kept of one component; the oldest gives way.
 const WARNINGS: usize = 16;
-
-/// Way in which a required port lost its connection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Loss {
-    Cut,
-    /// Cut, and announced that another one takes its place next.
-    Replaced,
-    /// The process of the other end is gone, or does not answer any more.
-    Peer,
-}
-
-impl Loss {
-    /// Time a component may go on without the connection before it counts as lost, ns. A manager that cuts
-    /// and connects in two requests has little time; if the second half was announced, that half may also
-    /// fail and the former connection be put back before it is a loss.
-    fn spared_ns(self) -> u64 {
-        match self {
-            Loss::Cut => 20_000_000,
-            Loss::Replaced => 1_000_000_000,
-            Loss::Peer => 0,
-        }
-    }
-}
 
 impl Instance {
     /// Sets state and fault text, and reports the change.
@@ -56,9 +33,9 @@ impl Instance {
     pub(crate) fn shut(&self, state: State, fault: &str) -> (State, String) {
         // State and reason change together: the second of two threads writes both.
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
-        let before = self.gate.swap(pack(state), Ordering::SeqCst);
+        let before = self.set_gate(state);
         self.show_standing();
-        (unpack(before), std::mem::replace(&mut *text, fault.to_owned()))
+        (before, std::mem::replace(&mut *text, fault.to_owned()))
     }
 
     /// Reports a change, if state or fault text differ from these.
@@ -91,9 +68,8 @@ impl Instance {
 
     /// Sets the state if it is still `from`; reports the change and returns true if it was.
     pub(crate) fn set_state_from(&self, from: State, state: State, fault: &str) -> bool {
-        let (from, to) = (pack(from), pack(state));
         let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
-        if self.gate.compare_exchange(from, to, Ordering::SeqCst, Ordering::Relaxed).is_err() {
+        if !self.set_gate_from(from, state) {
             return false;
         }
         fault.clone_into(&mut text);
@@ -261,19 +237,6 @@ impl Instance {
         context::deferred(|| cell.emit(&row[..cell.bytes.min(row.len())]));
     }
 
-    /// Answers a read of the system interface into `out`; returns its stamp.
-    pub(crate) fn system_read(&self, which: usize, out: &mut [u8]) -> u64 {
-        match which {
-            system::PERIOD_STATISTICS => {
-                let s = self.statistics();
-                system::write_statistics(&s, out);
-                s.stamp_ns
-            }
-            system::GET_STATE => self.read_status(out),
-            _ => 0,
-        }
-    }
-
     /// Publishes the present state.
     pub(super) fn publish_status(&self) {
         let mut row = [0u8; system::MAX_BYTES];
@@ -286,47 +249,6 @@ impl Instance {
         writer.publish(stamp_ns, 0, |out| out.copy_from_slice(&row));
         drop((writer, fault));
         self.show_standing();
-    }
-
-    /// Copies the newest published status; returns its stamp. Real-time.
-    fn read_status(&self, out: &mut [u8]) -> u64 {
-        let Some(out) = out.get_mut(..system::MAX_BYTES) else { return 0 };
-        if self.status_rows.latest(out).is_none() {
-            return 0;
-        }
-        // The status still holds: every change publishes a row.
-        let stamp_ns = os::now_ns();
-        out[..8].copy_from_slice(&stamp_ns.to_le_bytes());
-        stamp_ns
-    }
-
-    fn statistics(&self) -> system::Statistics {
-        let s = self.stats.snapshot();
-        let seconds = |ns: f64| ns * 1e-9;
-        system::Statistics {
-            stamp_ns: os::now_ns(),
-            period: [
-                seconds(s.period.avg_ns),
-                seconds(s.period.std_ns),
-                seconds(s.period.min_ns as f64),
-                seconds(s.period.max_ns as f64),
-            ],
-            compute: [
-                seconds(s.compute.avg_ns),
-                seconds(s.compute.std_ns),
-                seconds(s.compute.min_ns as f64),
-                seconds(s.compute.max_ns as f64),
-            ],
-            lateness: [
-                seconds(s.lateness_p50_ns as f64),
-                seconds(s.lateness_p99_ns as f64),
-                seconds(s.lateness_max_ns as f64),
-            ],
-            load: s.load,
-            executed: s.executed,
-            skipped: s.skipped,
-            overruns: s.overruns,
-        }
     }
 }
 

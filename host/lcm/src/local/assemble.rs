@@ -20,7 +20,8 @@ use super::super::instance::{Entered, Instance};
 use super::super::lifecycle::{
     component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure, undo_start,
 };
-use super::super::supervise::{Entry, LEAVE_NS, Manners, Strangers, Ward, cannot_go_on, give_up};
+use super::super::supervise::{LEAVE_NS, Manners, Strangers, Ward, cannot_go_on, give_up};
+use super::super::watch::Entry;
 use super::{LocalLcm, Slot};
 
 fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refusal {
@@ -94,10 +95,8 @@ impl LocalLcm {
         let number = self.next_number.fetch_add(1, Ordering::Relaxed);
         let class_info = component.class.clone();
         let made = Instance::new(
-            number,
-            id.clone(),
-            class_info,
-            class,
+            (number, id.clone()),
+            (class_info, class),
             (self.hub.clone(), self.remains.clone()),
             &execution,
             executor.0.thread(),

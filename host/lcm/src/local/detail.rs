@@ -31,7 +31,7 @@ pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
         skipped: s.skipped,
         overruns: s.overruns,
         load: s.load,
-        commands: slot.instance.counters.commands(),
+        commands: slot.instance.books.commands(),
         commands_rejected,
         events_dropped,
         thread: match (&slot.execution.stream_of, &slot.execution.inside) {

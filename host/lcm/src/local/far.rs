@@ -15,7 +15,7 @@ use super::super::Report;
 use super::super::boundary::OwnClass;
 use super::super::carriers::OneEnd;
 use super::super::ends::{Kin, Role};
-use super::super::instance::Loss;
+use super::super::loss::Loss;
 use super::LocalLcm;
 
 /// Time left before the deadline for the answer about a link that is not ready.

@@ -15,7 +15,7 @@ use trocar_rt::{house, os};
 
 use super::super::inbox::{Inbox, Party};
 use super::super::instance::Instance;
-use super::super::supervise::Entry;
+use super::super::watch::Entry;
 use super::super::{News, dynamic};
 use super::LocalLcm;
 

@@ -11,7 +11,7 @@ use trocar_model::{Connection, Refusal, idle_connection};
 
 use super::super::connect::Wired;
 use super::super::cycle::Member;
-use super::super::instance::Loss;
+use super::super::loss::Loss;
 use super::super::order::Place;
 use super::super::{Report, order};
 use super::{LocalLcm, Slot};

@@ -8,12 +8,12 @@ use trocar_model::{Health, State, StopReason};
 use trocar_plugin_api::abi::NOT_ACTIVE;
 use trocar_rt::os;
 
-use super::super::instance::Misuse;
+use super::super::books::Misuse;
+use super::super::watch::{Busy, Entry, Misdeed};
 use super::lateness::Lateness;
 use super::roster::Ward;
 use super::safe::give_up;
 use super::strangers::Strangers;
-use super::watch::{Busy, Entry, Misdeed};
 
 /// Shortest time an overrun is shown, ns, so that health does not flicker.
 const OVERRUN_SHOWN_NS: u64 = 1_000_000_000;
@@ -106,7 +106,7 @@ impl Charge {
 
     /// Entries and commands begun so far, for [`Charge::note`].
     pub(super) fn counts(&self) -> (u64, u64) {
-        (self.ward.instance.watch.entries(), self.ward.instance.counters.commands())
+        (self.ward.instance.watch.entries(), self.ward.instance.books.commands())
     }
 
     /// Notes these counts as looked at. They are counted before the look: an entry that began during it
@@ -117,7 +117,7 @@ impl Charge {
 
     /// Tells whether it ran a command since the last look.
     pub(super) fn commanded(&self) -> bool {
-        self.commands != self.ward.instance.counters.commands()
+        self.commands != self.ward.instance.books.commands()
     }
 
     /// Tells whether a thread was inside since the last look, or is.
@@ -194,7 +194,7 @@ impl Charge {
     /// Reports refusals and failures, at most once a second.
     fn tell_misuse(&mut self, now_ns: u64) {
         let instance = &self.ward.instance;
-        let (now, (before, told_ns)) = (instance.counters.misuses(), self.misuses);
+        let (now, (before, told_ns)) = (instance.books.misuses(), self.misuses);
         if now == before || now_ns.saturating_sub(told_ns) < TELL_NS {
             return;
         }
@@ -204,7 +204,7 @@ impl Charge {
                 continue;
             }
             let mut often = format!(" ({now} so far)");
-            if let Some(last) = instance.counters.last_words(what) {
+            if let Some(last) = instance.books.last_words(what) {
                 often = format!("{often}, the last one: {last}");
             }
             if what.is_error() {
@@ -304,7 +304,7 @@ fn inside_of(ward: &Ward, busy: Busy) -> String {
     if busy.entry != Entry::Command {
         return entry.to_owned();
     }
-    match instance.command_name(instance.watch.command()) {
+    match instance.name_of(instance.watch.command()) {
         Some(name) => format!("{entry} {name}"),
         None => entry.to_owned(),
     }

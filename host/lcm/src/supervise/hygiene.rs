@@ -17,6 +17,7 @@ use trocar_rt::os::{self, Household, Hygiene};
 use trocar_loader::{self as loader, Moment};
 
 use super::super::instance::Instance;
+use super::super::watch::{Entry, Misdeed};
 use super::descriptors;
 use super::home::{go_home, whereabouts};
 use super::household::household;
@@ -25,7 +26,6 @@ use super::minding::{Minding, minded, minding};
 use super::moment;
 use super::roster::Ward;
 use super::strangers::Strangers;
-use super::watch::{Entry, Misdeed};
 
 /// Time between two looks at the signal mask of a thread, and at the state of the process, ns.
 const ROUND_NS: u64 = 1_000_000_000;

@@ -19,9 +19,9 @@ use super::super::concern::Concern;
 use super::super::context;
 use super::super::hub::Hub;
 use super::super::instance::Instance;
+use super::super::watch::Entry;
 use super::descriptors;
 use super::roster::{Roster, Ward};
-use super::watch::Entry;
 
 /// Longest time for devices to come to their safe condition.
 const PATIENCE: Duration = Duration::from_secs(1);

@@ -16,7 +16,6 @@ mod roster;
 mod safe;
 mod strangers;
 mod suspicion;
-mod watch;
 mod watchdog;
 
 pub(super) use charge::LEAVE_NS;
@@ -30,5 +29,4 @@ pub(super) use roster::{Roster, Ward};
 pub(super) use safe::give_up;
 pub(super) use strangers::Strangers;
 pub(super) use suspicion::Suspicion;
-pub(super) use watch::{Entry, Misdeed, Watch};
 pub(super) use watchdog::Watchdog;

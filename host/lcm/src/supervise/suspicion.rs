@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use trocar_rt::os;
 
+use super::super::watch::{Misdeed, Watch};
 use super::home::whereabouts;
-use super::watch::{Misdeed, Watch};
 
 /// State before a step of a suspect. Only then a step costs some system calls.
 pub(crate) struct Suspicion {

@@ -35,9 +35,9 @@ async fn a_thread_hears_as_many_bells_as_the_kernel_lets_it_and_refuses_one_more
     let ears = Executor::spawn("ears", &model(ExecutionModel::OnSignal), &Memory::Loose, |_, _| ()).unwrap();
     let bells: Vec<_> = (0..MOST_BELLS).map(|_| bell()).collect();
     for bell in &bells {
-        ears.add_bell(bell.clone(), instance.clone()).unwrap();
+        ears.add_bell(bell.clone(), instance.core.clone()).unwrap();
     }
-    let why = ears.add_bell(bell(), instance.clone()).unwrap_err();
+    let why = ears.add_bell(bell(), instance.core.clone()).unwrap_err();
     assert!(why.contains("x_bells/woken's thread is woken by 127 connections"), "{why}");
     for (rung, bell) in [&bells[0], &bells[63], &bells[126]].into_iter().enumerate() {
         bell.notify();
@@ -46,7 +46,7 @@ async fn a_thread_hears_as_many_bells_as_the_kernel_lets_it_and_refuses_one_more
     // Removing a bell makes room for another.
     ears.remove_bell(bells[5].clone());
     let late = bell();
-    ears.add_bell(late.clone(), instance.clone()).unwrap();
+    ears.add_bell(late.clone(), instance.core.clone()).unwrap();
     let before = counter.0.load(Ordering::SeqCst);
     late.notify();
     eventually("a step for the late one", || counter.0.load(Ordering::SeqCst) > before).await;

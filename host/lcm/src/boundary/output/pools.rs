@@ -2,85 +2,108 @@
 //!
 //! Invariant: a pool stays as long as a frame of it is out; one lends, the others only wait for their frames.
 
-use std::io;
-use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_plugin_api::abi::Loan;
+use trocar_rt::cell::BindingCell;
 use trocar_rt::os::OsError;
 use trocar_rt::pool::{FrameMut, FramePool, PoolFile};
 
-use super::super::inside::running;
 use super::super::room;
-use super::OutCell;
 
 /// The pools of one output.
-#[derive(Clone, Default)]
 pub(super) struct Pools {
-    pub(super) lends: Option<Arc<FramePool>>,
+    now: BindingCell<Present>,
+    /// Lets pools be changed one after the other.
+    changing: Mutex<()>,
+    /// Number of the last pool that was locked or whose locking failed; 0 = none.
+    locked: AtomicU64,
+    /// Refused loans so far; counted here, as pools come and go.
+    exhausted: AtomicU64,
+}
+
+/// The pools there are now.
+#[derive(Clone, Default)]
+struct Present {
+    lends: Option<Arc<FramePool>>,
     /// Counts the pools before the one that lends.
     number: u64,
     /// Earlier pools, of which frames may still be out.
-    pub(super) earlier: Vec<Arc<FramePool>>,
+    earlier: Vec<Arc<FramePool>>,
 }
 
-impl OutCell {
-    /// (Re)makes the pool; not from `step`.
-    ///
-    /// # Errors
-    /// There is no memory for it.
-    pub(in crate::boundary) fn make_pool(&self, max_bytes: usize, slots: u32) -> io::Result<()> {
-        let pool = FramePool::new(slots, self.shape().bytes, max_bytes)?;
-        self.change_pool(Some(pool));
-        Ok(())
-    }
-
-    /// Warns the component whose code runs here, and whose output this is, that it got no pool.
-    pub(super) fn tell_refused(&self, asked: &str) {
-        let told = running(|instance| {
-            let set = instance.described.now();
-            let name = set.slots.output_of(self).map_or("an output", |i| set.ports.outputs[i].name.as_str());
-            instance.warn(&format!("{name}: {asked}"));
-        });
-        if told.is_none() {
-            log::error!("{asked}");
+impl Default for Pools {
+    fn default() -> Self {
+        Pools {
+            now: BindingCell::new(Box::default()),
+            changing: Mutex::new(()),
+            locked: AtomicU64::new(0),
+            exhausted: AtomicU64::new(0),
         }
     }
+}
 
+impl Pools {
     /// Makes another pool, or none, lend from now on. The one before stays at least until the next
-    /// [`OutCell::reclaim`].
-    pub(super) fn change_pool(&self, lends: Option<Arc<FramePool>>) {
-        let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
-        let Pools { lends: before, number, mut earlier } = self.pools.enter().clone();
+    /// [`Pools::reclaim`].
+    pub(super) fn change(&self, lends: Option<Arc<FramePool>>) {
+        let _one = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let Present { lends: before, number, mut earlier } = self.now.enter().clone();
         earlier.extend(before);
-        self.pools.swap(Box::new(Pools { lends, number: number + 1, earlier }));
+        self.now.swap(Box::new(Present { lends, number: number + 1, earlier }));
     }
 
-    /// The memory of all its pools, for readers in another process.
-    pub(crate) fn pool_files(&self) -> Vec<Arc<PoolFile>> {
-        let pools = self.pools.enter();
-        pools.lends.iter().chain(&pools.earlier).filter_map(|pool| pool.file()).cloned().collect()
+    /// Lets go of all pools. Frames that are out keep theirs.
+    pub(super) fn retire(&self) {
+        let _one = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        self.now.swap(Box::default());
     }
 
-    /// Drops earlier pools whose frames have all come back.
-    pub(super) fn drop_pools(&self) {
-        let _one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut pools = self.pools.enter().clone();
+    /// Drops earlier pools whose frames have all come back, and what cycles that have ended looked at;
+    /// returns how much of that is left.
+    pub(super) fn reclaim(&self) -> usize {
+        let one = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pools = self.now.enter().clone();
         let all = pools.earlier.len();
         pools.earlier.retain(|p| p.stats().free < p.stats().slots);
         if pools.earlier.len() < all {
-            self.pools.swap(Box::new(pools));
+            self.now.swap(Box::new(pools));
         }
+        drop(one);
+        self.now.reclaim()
+    }
+
+    /// The memory of all pools.
+    pub(super) fn files(&self) -> Vec<Arc<PoolFile>> {
+        let pools = self.now.enter();
+        pools.lends.iter().chain(&pools.earlier).filter_map(|pool| pool.file()).cloned().collect()
     }
 
     /// Locks the lending pool into memory, once; returns the reason of a failure. Managers only.
-    pub(in crate::boundary) fn lock_pool(&self) -> Option<OsError> {
-        let Pools { lends, number, .. } = self.pools.enter().clone();
+    pub(super) fn lock(&self) -> Option<OsError> {
+        let Present { lends, number, .. } = self.now.enter().clone();
         let pool = lends?;
         if self.locked.swap(number, Ordering::Relaxed) == number {
             return None;
         }
         pool.lock_memory().err()
+    }
+
+    /// A free frame of the lending pool. Real-time.
+    #[inline]
+    pub(super) fn loan(&self) -> Option<FrameMut> {
+        self.now.look(|pools| pools.lends.as_ref().and_then(|pool| pool.loan()))
+    }
+
+    /// Counts a loan that was refused.
+    pub(super) fn refuse(&self) {
+        self.exhausted.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Loans that were refused, over all pools.
+    pub(super) fn exhausted(&self) -> u64 {
+        self.exhausted.load(Ordering::Relaxed)
     }
 
     /// The frame of a loan that comes back; `None` when it is no loan of this output, or came back already.
@@ -91,7 +114,7 @@ impl OutCell {
         }
         // SAFETY: lent for the call; the first Loans had a token.
         let token = std::mem::take(unsafe { &mut (*loan).token });
-        self.pools.look(|pools| {
+        self.now.look(|pools| {
             pools.lends.iter().chain(&pools.earlier).any(|p| p.is_descriptor(token)).then(|| {
                 // SAFETY: the number of a slot of a pool that is alive here, which checks whether it is good.
                 unsafe { FrameMut::from_raw(token) }
@@ -101,12 +124,7 @@ impl OutCell {
 
     /// Figures of the pool that lends now; `None` without a pool.
     #[cfg(test)]
-    pub(crate) fn pool(&self) -> Option<trocar_rt::PoolStats> {
-        self.pools.enter().lends.as_ref().map(|pool| pool.stats())
-    }
-
-    /// Loans that were refused, over all pools.
-    pub(crate) fn exhausted(&self) -> u64 {
-        self.exhausted.load(Ordering::Relaxed)
+    pub(super) fn stats(&self) -> Option<trocar_rt::PoolStats> {
+        self.now.enter().lends.as_ref().map(|pool| pool.stats())
     }
 }

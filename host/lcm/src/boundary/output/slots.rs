@@ -3,7 +3,6 @@
 //! Invariant: data that a plugin hands over are not read before they are known to be whole.
 
 use std::ffi::c_void;
-use std::sync::atomic::Ordering;
 
 use trocar_plugin_api::abi::{
     Bytes, EXECUTED, EXHAUSTED, FAILED, INVALID_ARGUMENT, Loan, Outcome, SampleView, Sink, Status,
@@ -11,8 +10,9 @@ use trocar_plugin_api::abi::{
 };
 
 use super::super::super::context;
-use super::super::{input, room, texts};
-use super::{OutCell, Outs};
+use super::super::input::{self, Shown};
+use super::super::{room, texts};
+use super::cell::{OutCell, Outs};
 
 /// SAFETY of all `extern "C"` below: `ctx` is the cell whose slot the function stands in; it lives as long as
 /// the instance that owns the slots. Pointers handed over live for the call.
@@ -21,11 +21,7 @@ fn out_cell<'a>(ctx: *mut c_void) -> &'a OutCell {
     unsafe { &*ctx.cast::<OutCell>() }
 }
 
-pub(in crate::boundary) unsafe extern "C" fn write(
-    ctx: *mut c_void,
-    value: *const c_void,
-    stamp_ns: u64,
-) -> Outcome {
+pub(crate) unsafe extern "C" fn write(ctx: *mut c_void, value: *const c_void, stamp_ns: u64) -> Outcome {
     let cell = out_cell(ctx);
     cell.outs.look(|outs| {
         if outs.shape.unknown {
@@ -44,11 +40,7 @@ pub(in crate::boundary) unsafe extern "C" fn write(
 }
 
 /// As `write`, but compares the size with the type that is behind the output now.
-pub(in crate::boundary) unsafe extern "C" fn write_bytes(
-    ctx: *mut c_void,
-    value: Bytes,
-    stamp_ns: u64,
-) -> Outcome {
+pub(crate) unsafe extern "C" fn write_bytes(ctx: *mut c_void, value: Bytes, stamp_ns: u64) -> Outcome {
     // SAFETY: the caller lends `len` readable bytes.
     match unsafe { lent(value.ptr, value.len) } {
         Some(value) => out_cell(ctx).forward_plain(value, stamp_ns),
@@ -69,19 +61,18 @@ unsafe fn lent<'a>(ptr: *const u8, bytes: usize) -> Option<&'a [u8]> {
     }
 }
 
-pub(in crate::boundary) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outcome {
+pub(crate) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut Loan) -> Outcome {
     let cell = out_cell(ctx);
     // SAFETY: null, or lent for the call.
     if !unsafe { room::is_lent(loan) } {
         return INVALID_ARGUMENT;
     }
-    let lent = || cell.pools.look(|pools| pools.lends.as_ref().and_then(|p| p.loan()));
     // Frames released by readers in other processes are collected only when one is needed.
-    let Some(frame) = lent().or_else(|| {
+    let Some(frame) = cell.pools.loan().or_else(|| {
         cell.collect();
-        lent()
+        cell.pools.loan()
     }) else {
-        cell.exhausted.fetch_add(1, Ordering::Relaxed);
+        cell.pools.refuse();
         return cell.outs.look(|outs| if outs.is_gone() { outs.unbound() } else { EXHAUSTED });
     };
     let lent = Loan {
@@ -97,14 +88,14 @@ pub(in crate::boundary) unsafe extern "C" fn loan(ctx: *mut c_void, loan: *mut L
     EXECUTED
 }
 
-pub(in crate::boundary) unsafe extern "C" fn commit(
+pub(crate) unsafe extern "C" fn commit(
     ctx: *mut c_void,
     loan: *mut Loan,
     len: u64,
     stamp_ns: u64,
 ) -> Outcome {
     let cell = out_cell(ctx);
-    let Some(frame) = cell.take_back(loan) else { return INVALID_ARGUMENT };
+    let Some(frame) = cell.pools.take_back(loan) else { return INVALID_ARGUMENT };
     if len > frame.capacity() as u64 {
         return INVALID_ARGUMENT;
     }
@@ -112,32 +103,24 @@ pub(in crate::boundary) unsafe extern "C" fn commit(
     cell.forward_frame(frame.freeze(len as usize), stamp_ns)
 }
 
-pub(in crate::boundary) unsafe extern "C" fn cancel(ctx: *mut c_void, loan: *mut Loan) {
-    drop(out_cell(ctx).take_back(loan));
+pub(crate) unsafe extern "C" fn cancel(ctx: *mut c_void, loan: *mut Loan) {
+    drop(out_cell(ctx).pools.take_back(loan));
 }
 
-pub(in crate::boundary) unsafe extern "C" fn forward(
-    ctx: *mut c_void,
-    view: *const SampleView,
-    stamp_ns: u64,
-) -> Outcome {
+pub(crate) unsafe extern "C" fn forward(ctx: *mut c_void, view: *const SampleView, stamp_ns: u64) -> Outcome {
     let cell = out_cell(ctx);
     let Some(token) = input::token_of(view) else { return INVALID_ARGUMENT };
+    let forward = |shown: Shown<'_>| cell.forward(shown, stamp_ns);
     // SAFETY: only the component's thread, which holds the view, forwards.
-    let passed = cell
-        .inputs
-        .look(|inputs| inputs.iter().find_map(|input| unsafe { input.pass_on(token, cell, stamp_ns) }));
+    let passed =
+        cell.inputs.look(|inputs| inputs.iter().find_map(|input| unsafe { input.pass_on(token, forward) }));
     passed.unwrap_or(INVALID_ARGUMENT)
 }
 
 /// Most frames of a pool.
 const MOST_SLOTS: u32 = 4096;
 
-pub(in crate::boundary) unsafe extern "C" fn reserve(
-    ctx: *mut c_void,
-    max_bytes: u64,
-    slots: u32,
-) -> Outcome {
+pub(crate) unsafe extern "C" fn reserve(ctx: *mut c_void, max_bytes: u64, slots: u32) -> Outcome {
     let cell = out_cell(ctx);
     if context::stepping() {
         return WOULD_BLOCK;
@@ -163,6 +146,6 @@ pub(in crate::boundary) unsafe extern "C" fn reserve(
     }
 }
 
-pub(in crate::boundary) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
+pub(crate) unsafe extern "C" fn type_of(ctx: *mut c_void, sink: *const Sink) -> Status {
     texts::tell(sink, &out_cell(ctx).outs.enter().described)
 }

@@ -285,7 +285,7 @@ fn a_call_that_comes_to_the_queue_after_its_server_was_stopped_is_answered_altho
         assert_eq!(waiting.join().unwrap().outcome, NOT_ACTIVE);
         let instance = world.instance("server");
         let set = instance.described.now();
-        let target = crate::passage::target(&instance, &set, TWICE, &set.external, TWICE, 0);
+        let target = crate::passage::target(&instance.core, &set, TWICE, &set.external, TWICE, 0);
         let crate::boundary::FnBinding::Command(twice) = &target else { panic!("it is a command") };
         let (arg, mut ret) = (2u64, 0u64);
         let (arg, ret) = ((&raw const arg).cast(), (&raw mut ret).cast());

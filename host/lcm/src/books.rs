@@ -1,4 +1,4 @@
-//! Counted misuse and loss of one component, with the last reason of those that come with one.
+//! The books of one component: counted misuse and loss, with the last reason of those that come with one.
 //!
 //! Invariant: counting takes no lock that is waited for, and no memory: a step may do it.
 
@@ -112,7 +112,7 @@ impl LastWords {
 
 /// Counted misuse and loss, visible in GetState and Describe.
 #[derive(Default)]
-pub(crate) struct Counters {
+pub(crate) struct Books {
     misuses: [AtomicU64; Misuse::ALL.len()],
     commands: AtomicU64,
     /// Commands and events lost in full queues of connections that are gone, and those that never ran before
@@ -122,7 +122,7 @@ pub(crate) struct Counters {
     last_words: [LastWords; 4],
 }
 
-impl Counters {
+impl Books {
     /// Real-time.
     pub(crate) fn misuse(&self, what: Misuse) {
         self.misuses[what as usize].fetch_add(1, Ordering::Relaxed);

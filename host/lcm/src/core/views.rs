@@ -14,21 +14,20 @@ use trocar_rt::segment::{Agreed, Rows};
 use trocar_rt::state::{StateReader, StateWriter};
 
 use super::super::kept::Kept;
-use super::Instance;
 
 /// One client's view of a component.
-pub(crate) trait View: Send + Sync {
+pub(crate) trait View<S>: Send + Sync {
     /// Rows from which its client computes reads itself; shared by all views that have them.
     fn rows(&self) -> Option<&Arc<ShownRows>>;
 
     /// Shows the present state. A thread that changes it comes here afterwards.
-    fn show_standing(&self, of: &Instance);
+    fn show_standing(&self, of: &S);
 
     /// Shows the present results of its reads. Real-time.
-    fn show_row(&self, of: &Instance);
+    fn show_row(&self, of: &S);
 
     /// Shows the present statistics. Watchdog only.
-    fn show_figures(&self, of: &Instance);
+    fn show_figures(&self, of: &S);
 
     /// Shows the present positions of the reads that the client computes itself.
     fn show_positions(&self);
@@ -64,85 +63,67 @@ impl ShownRows {
 }
 
 /// The views there are now.
-#[derive(Default)]
-struct Present {
-    all: Vec<Arc<dyn View>>,
+struct Present<S> {
+    all: Vec<Arc<dyn View<S>>>,
     rows: Option<Arc<ShownRows>>,
 }
 
-/// All views of one component.
-pub(super) struct Views {
-    present: BindingCell<Present>,
+/// All views of one component, whose core is an `S`.
+pub(super) struct Views<S> {
+    present: BindingCell<Present<S>>,
     /// True when there is a view.
     is_any: AtomicBool,
     /// Lets managers change the list one after the other.
     editing: Mutex<()>,
 }
 
-impl Default for Views {
+impl<S: 'static> Default for Views<S> {
     fn default() -> Self {
         Views {
-            present: BindingCell::new(Box::default()),
+            present: BindingCell::new(Box::new(Present { all: Vec::new(), rows: None })),
             is_any: AtomicBool::new(false),
             editing: Mutex::new(()),
         }
     }
 }
 
-impl Views {
-    pub(super) fn reclaim(&self) -> usize {
-        self.present.reclaim()
+impl<S: 'static> Views<S> {
+    /// Changes the list; managers only.
+    pub(super) fn edit(&self, f: impl FnOnce(&mut Vec<Arc<dyn View<S>>>)) {
+        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = self.present.enter().all.clone();
+        f(&mut all);
+        self.is_any.store(!all.is_empty(), Ordering::SeqCst);
+        let rows = all.iter().find_map(|view| view.rows().cloned());
+        self.present.swap(Box::new(Present { all, rows }));
     }
 
-    fn show(&self, f: impl Fn(&dyn View)) {
+    /// The rows as other processes see them, if they are shown. Managers only.
+    pub(super) fn rows(&self) -> Option<Arc<ShownRows>> {
+        self.present.enter().rows.clone()
+    }
+
+    /// Shows every view something that has changed.
+    pub(super) fn show(&self, f: impl Fn(&dyn View<S>)) {
         if self.is_any.load(Ordering::SeqCst) {
             self.present.enter().all.iter().for_each(|view| f(&**view));
         }
     }
-}
 
-impl Instance {
-    /// Changes the views for clients in other processes; managers only.
-    pub(crate) fn edit_views(&self, f: impl FnOnce(&mut Vec<Arc<dyn View>>)) {
-        let views = &self.views;
-        let _one = views.editing.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut all = views.present.enter().all.clone();
-        f(&mut all);
-        views.is_any.store(!all.is_empty(), Ordering::SeqCst);
-        let rows = all.iter().find_map(|view| view.rows().cloned());
-        views.present.swap(Box::new(Present { all, rows }));
-    }
-
-    /// Its rows as other processes see them, if they are shown. Managers only.
-    pub(crate) fn shown_rows(&self) -> Option<Arc<ShownRows>> {
-        self.views.present.enter().rows.clone()
-    }
-
-    /// Shows other processes its state, after that has changed.
-    pub(crate) fn show_standing(&self) {
-        self.views.show(|view| view.show_standing(self));
-    }
-
-    /// Shows other processes the newest row, or the results of its reads. Real-time.
+    /// Shows the newest row of the state table, or the results of the reads. Real-time.
     #[inline]
-    pub(crate) fn show_row(&self) {
-        if self.views.is_any.load(Ordering::Relaxed) {
-            self.views.present.look(|present| {
+    pub(super) fn show_row(&self, table: &StateReader, of: &S) {
+        if self.is_any.load(Ordering::Relaxed) {
+            self.present.look(|present| {
                 if let Some(rows) = &present.rows {
-                    rows.show(&self.rows);
+                    rows.show(table);
                 }
-                present.all.iter().for_each(|view| view.show_row(self));
+                present.all.iter().for_each(|view| view.show_row(of));
             });
         }
     }
 
-    /// Shows other processes its statistics. Watchdog only.
-    pub(crate) fn show_figures(&self) {
-        self.views.show(|view| view.show_figures(self));
-    }
-
-    /// Shows other processes the positions of its reads, after they have changed.
-    pub(crate) fn show_positions(&self) {
-        self.views.show(|view| view.show_positions());
+    pub(super) fn reclaim(&self) -> usize {
+        self.present.reclaim()
     }
 }

@@ -8,30 +8,28 @@ use std::sync::Arc;
 
 use trocar_lcm_api::LinkDetail;
 use trocar_loader::convert::back;
-use trocar_model::{Binding, Connection, CopyRun, PortType, Ports};
+use trocar_model::{Binding, Command, Connection, CopyRun, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::os;
-use trocar_rt::segment::{Agreed, FarCalls, Rows, Stream};
+use trocar_rt::segment::{Agreed, FarCalls, Rows, Stream, Word};
 use trocar_rt::state::StateReader;
 use trocar_rt::stream::{FarViews, StreamCounters, StreamReader};
 use trocar_rt::wake::Waker;
 
-use super::super::super::boundary::{
+use super::super::boundary::{
     DEFAULT_DEADLINE_NS, FarCommand, FarRead, FarServer, FarSource, FarTable, FnBinding, FnCell, InCell,
     InLink, Newest, OwnClass, OwnRead, OwnRows, Panics, RangeCheck, Shape,
 };
-use super::super::super::described::PortSet;
-use super::super::super::ends::Here;
-use super::super::super::inbox::{Check, Inbox};
-use super::super::super::instance::Loss;
-use super::super::super::passage::lane;
-use super::super::asks::Asks;
-use super::super::terms::{Reading, Way, commands, of_rows, size};
-
-use super::{full, is_status, settle};
+use super::super::described::PortSet;
+use super::super::ends::Here;
+use super::super::inbox::{Check, Inbox};
+use super::super::loss::Loss;
+use super::super::passage::lane;
+use super::asks::Asks;
+use super::terms::{Reading, Way, commands, is_status, of_rows, size};
 
 /// The client's wires.
-pub(in crate::far) enum ClientWires {
+pub(super) enum ClientWires {
     Input {
         input: Arc<InCell>,
         link: Arc<InLink>,
@@ -55,9 +53,40 @@ pub(in crate::far) enum ClientWires {
 }
 
 /// Parts a client needs to compute reads itself: the class of its server, and the rows its process shows.
-pub(in crate::far) struct Own {
-    pub(in crate::far) class: OwnClass,
-    pub(in crate::far) rows: OwnedFd,
+pub(super) struct Own {
+    pub(super) class: OwnClass,
+    pub(super) rows: OwnedFd,
+}
+
+/// Sources of the reads of one connection, each given out once and in their order.
+struct Reads<'a, T, P> {
+    /// The server's ports.
+    ports: &'a Ports,
+    asks: &'a Arc<Asks>,
+    own: Option<(Arc<OwnRows>, OwnClass)>,
+    tables: T,
+    positions: P,
+}
+
+impl<T, P> Reads<'_, T, P>
+where
+    T: Iterator<Item = (StateReader, StateReader)>,
+    P: Iterator<Item = Word>,
+{
+    /// The source of the read with this number; its process is asked where there is no other.
+    fn source(&mut self, reading: Reading, id: usize, command: &Command) -> FarSource {
+        let (ports, asks) = (self.ports, self.asks);
+        let source = match reading {
+            Reading::Published => self.tables.next().map(|(results, whys)| {
+                FarSource::Table(FarTable { results, whys, status: is_status(ports, id) })
+            }),
+            Reading::Here => self.own.as_ref().zip(self.positions.next()).map(|((rows, class), at)| {
+                FarSource::Here(OwnRead::new(rows, at, command, class, ports), asks.clone())
+            }),
+            Reading::Asked => None,
+        };
+        source.unwrap_or_else(|| FarSource::Ask(asks.clone()))
+    }
 }
 
 impl ClientWires {
@@ -65,7 +94,7 @@ impl ClientWires {
     ///
     /// # Errors
     /// The memory is not as agreed, or the thread can be woken by no more connections.
-    pub(in crate::far) fn connect(
+    pub(super) fn connect(
         (memory, agreed): (OwnedFd, Agreed),
         way: &Way,
         connection: &Connection,
@@ -94,7 +123,9 @@ impl ClientWires {
         here: &Here,
         (cell, ty, depth, adapt): (Arc<InCell>, &PortType, usize, Option<(Vec<CopyRun>, usize)>),
     ) -> io::Result<ClientWires> {
-        here.executor.add_bell(stream.for_reader.clone(), here.instance.clone()).map_err(full)?;
+        here.executor
+            .add_bell(stream.for_reader.clone(), here.instance.core.clone())
+            .map_err(io::Error::other)?;
         let stats = stream.end.counters();
         let max_age_ns = connection.options.max_age_ns.unwrap_or(0);
         let newest = Newest::Far(stream.newest_ns, os::now_ns());
@@ -120,7 +151,7 @@ impl ClientWires {
             Ok((OwnRows::new(&own.class, rows.end, panics.clone()), own.class))
         };
         let own = own.map(rows).transpose()?;
-        here.executor.add_bell(calls.for_client.clone(), client.clone()).map_err(full)?;
+        here.executor.add_bell(calls.for_client.clone(), client.core.clone()).map_err(io::Error::other)?;
         let handlers: Vec<_> = set.ports.required.iter().flat_map(|r| &r.handlers).collect();
         let checks = binding
             .handlers
@@ -136,35 +167,23 @@ impl ClientWires {
         let server = FarServer::new(calls.commands, calls.replies, calls.server, calls.for_server);
         let deadline_ns = connection.options.deadline_ns.unwrap_or(DEFAULT_DEADLINE_NS);
         let all = commands(ports);
-        let mut tables = calls.reads.into_iter().zip(calls.whys);
-        let mut positions = calls.own_reads.into_iter();
+        let tables = calls.reads.into_iter().zip(calls.whys);
+        let mut reads = Reads { ports, asks: &asks, own, tables, positions: calls.own_reads.into_iter() };
         let functions = binding.functions.iter().enumerate().map(|(index, (function, id))| {
             let command = all[*id];
             let range = command.arg.as_ref().and_then(RangeCheck::of);
-            let lane = lane(command, index);
-            let to = if let Some(reading) = Reading::of(ports, &all, *id, own.is_some()) {
-                let mut here = || own.as_ref().zip(positions.next());
-                let source = match reading {
-                    Reading::Published => tables.next().map(|(results, whys)| {
-                        let status = is_status(ports, *id);
-                        FarSource::Table(FarTable { results, whys, status })
-                    }),
-                    Reading::Here => here().map(|((rows, class), at)| {
-                        FarSource::Here(OwnRead::new(rows, at, command, class, ports), asks.clone())
-                    }),
-                    Reading::Asked => None,
-                };
-                FnBinding::FarRead(FarRead {
-                    server: server.clone(),
+            let (server, lane) = (server.clone(), lane(command, index));
+            let to = match Reading::of(ports, &all, *id, reads.own.is_some()) {
+                Some(reading) => FnBinding::FarRead(FarRead {
+                    server,
                     index: lane.index,
-                    source: source.unwrap_or_else(|| FarSource::Ask(asks.clone())),
+                    source: reads.source(reading, *id, command),
                     arg_bytes: lane.arg_bytes,
                     ret_bytes: lane.ret_bytes,
                     range,
                     deadline_ns,
-                })
-            } else {
-                FnBinding::FarCommand(FarCommand { server: server.clone(), lane, range, deadline_ns })
+                }),
+                None => FnBinding::FarCommand(FarCommand { server, lane, range, deadline_ns }),
             };
             let cell = set.slots.function(*function);
             cell.bind(to, back::command(command));
@@ -176,7 +195,7 @@ impl ClientWires {
     }
 
     /// Tells whether these are the wires of the present binding.
-    pub(in crate::far) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
+    pub(super) fn still_fit(&self, binding: &Binding, set: &PortSet) -> bool {
         let ClientWires::Calls { functions, events_in, .. } = self else { return false };
         let mut bound = binding.functions.iter().map(|(function, _)| set.slots.function(*function));
         let mut handlers = binding.handlers.iter().map(|(handler, _)| &set.handlers[*handler]);
@@ -188,7 +207,7 @@ impl ClientWires {
 
     /// Number of reads computed here that panicked, and the sentence of the last one; `None` if unchanged
     /// since the last call.
-    pub(in crate::far) fn untold_panics(&mut self) -> Option<(u64, String)> {
+    pub(super) fn untold_panics(&mut self) -> Option<(u64, String)> {
         let ClientWires::Calls { panics, told, .. } = self else { return None };
         let (now, text) = panics.so_far();
         (std::mem::replace(told, now) != now).then_some((now, text))
@@ -196,7 +215,7 @@ impl ClientWires {
 
     /// Answers the callers that wait for the server, and takes its output from the input. Any thread; gives
     /// back no memory, which would take time.
-    pub(in crate::far) fn lose(&self) {
+    pub(super) fn lose(&self) {
         match self {
             ClientWires::Calls { server, asks, .. } => {
                 server.lose();
@@ -208,7 +227,7 @@ impl ClientWires {
 
     /// Cuts the wires. Unless the server is lost, calls that have begun there are carried to their end and
     /// answered.
-    pub(in crate::far) fn disconnect(&self, here: &Here, how: Loss) {
+    pub(super) fn disconnect(&self, here: &Here, how: Loss) {
         let client = &here.instance;
         match (how, self) {
             (Loss::Peer, _) => self.lose(),
@@ -223,17 +242,17 @@ impl ClientWires {
             ClientWires::Calls { functions, events_in, bell, .. } => {
                 functions.iter().for_each(|f| f.unbind());
                 client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
-                client.counters.lose(events_in.events, events_in.lost());
+                client.books.lose(events_in.events, events_in.lost());
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);
-                client.counters.lose(events_in.events, events_in.unexecuted() - before);
+                client.books.lose(events_in.events, events_in.unexecuted() - before);
                 here.executor.remove_bell(bell.clone());
             }
         }
-        settle(client);
+        client.settle();
     }
 
-    pub(in crate::far) fn detail(&self) -> LinkDetail {
+    pub(super) fn detail(&self) -> LinkDetail {
         match self {
             ClientWires::Input { link, stats, depth, bytes, .. } => {
                 let passed = stats.stats().taken;

@@ -1,9 +1,7 @@
-//! Wires of a connection whose halves are linked: cells bound, queues and bells in place.
+//! The server's half: an output or an interface whose queues, tables and bells lie in memory it offers.
 //!
 //! Invariant: as for connections inside the process, every wire can be cut at any moment: callers inside
 //! finish on the old binding, later ones see UNBOUND. Queued calls are answered.
-
-mod client;
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -12,25 +10,24 @@ use std::sync::atomic::{AtomicU64, Ordering, fence};
 
 use trocar_lcm_api::LinkDetail;
 use trocar_loader::convert::back;
-use trocar_loader::system;
-use trocar_model::{Binding, Connection, PortType, Ports};
+use trocar_model::{Binding, Command, Connection};
 use trocar_plugin_api::abi::PEER_LOST;
-use trocar_rt::segment::{Agreed, ServedCalls, Stream};
+use trocar_rt::segment::{Agreed, ServedCalls, Stream, Word};
+use trocar_rt::state::StateWriter;
 use trocar_rt::stream::{FarPools, StreamCounters, StreamWriter};
 use trocar_rt::wake::Waker;
 
+use super::super::books::Misuse;
 use super::super::boundary::{
     Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Reader, Shape,
 };
+use super::super::core::{ShownRows, View};
 use super::super::described::PortSet;
 use super::super::ends::Here;
-use super::super::inbox::{Check, Inbox};
-use super::super::instance::{Instance, Misuse, ShownRows, View};
+use super::super::inbox::{Check, Inbox, Position};
 use super::face::{Face, Shown};
 use super::serving::{Desk, Served};
 use super::terms::{Reading, Way, commands, size};
-
-pub(super) use client::{ClientWires, Own};
 
 /// The server's memory, before the client has it.
 pub(super) enum Offer {
@@ -77,17 +74,8 @@ pub(super) struct Offered {
 /// Most panicked reads that another process may report at once: sums of them fit.
 const MOST_PANICS: u64 = 1 << 32;
 
-/// Tells whether the command with this number is GetState.
-fn is_status(server: &Ports, id: usize) -> bool {
-    id == server.first_command(server.provided.len().saturating_sub(1)) + system::GET_STATE
-}
-
 fn gone() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, "the component's ports are others by now")
-}
-
-fn full(why: String) -> io::Error {
-    io::Error::other(why)
 }
 
 impl Offer {
@@ -117,6 +105,68 @@ impl Offer {
         for file in set.slots.output(*output).pool_files() {
             pools.place_of(file.number());
         }
+    }
+}
+
+/// The commands of a server that a connection has bound, by their numbers in its ports.
+struct Bound<'a> {
+    set: &'a PortSet,
+    all: Vec<&'a Command>,
+    binding: &'a Binding,
+    /// True when the client's process sees the rows of the server.
+    shows_rows: bool,
+}
+
+impl Bound<'_> {
+    fn ids(&self) -> impl Iterator<Item = usize> {
+        self.binding.functions.iter().map(|(_, id)| *id)
+    }
+
+    fn reader(&self, id: usize) -> Reader {
+        match self.set.system_command(id) {
+            Some(which) => Reader::System(which),
+            None => Reader::Class(self.set.commands[id].clone()),
+        }
+    }
+
+    fn reading(&self, id: usize) -> Option<Reading> {
+        Reading::of(&self.set.ports, &self.all, id, self.shows_rows)
+    }
+
+    /// What an entry for this command has to meet, which another process puts into the queue.
+    fn check(&self, id: usize) -> Check {
+        let arg = self.all[id].arg.as_ref();
+        Check { bytes: size(arg.map(|a| &a.ty)), range: arg.and_then(RangeCheck::of) }
+    }
+
+    fn ret_bytes(&self, id: usize) -> usize {
+        size(self.all[id].ret.as_ref())
+    }
+
+    /// Reads whose results are published, each in its tables.
+    fn shown(&self, tables: impl Iterator<Item = (StateWriter, StateWriter)>) -> Vec<Shown> {
+        let published = self.ids().filter(|id| self.reading(*id) == Some(Reading::Published));
+        let shown = published
+            .zip(tables)
+            .map(|(id, (results, whys))| Shown::new(self.reader(id), self.ret_bytes(id), results, whys));
+        shown.collect()
+    }
+
+    /// Reads that the client computes itself, each with the place for its number.
+    fn computed_there(&self, places: impl IntoIterator<Item = Word>) -> Vec<(Arc<Position>, Word)> {
+        let own = self.ids().filter(|id| self.reading(*id) == Some(Reading::Here));
+        own.zip(places).map(|(id, word)| (self.set.commands[id].clone(), word)).collect()
+    }
+
+    /// Reads that the client may have to ask for.
+    fn served(&self) -> Vec<Served> {
+        let asked = |id: usize| matches!(self.reading(id), Some(Reading::Asked | Reading::Here));
+        let served = self.ids().enumerate().filter(|(_, id)| asked(*id)).map(|(index, id)| {
+            let Check { bytes: arg_bytes, range } = self.check(id);
+            let (from, ret_bytes) = (self.reader(id), self.ret_bytes(id));
+            Served { index: index as u32, from, arg_bytes, range, ret_bytes }
+        });
+        served.collect()
     }
 }
 
@@ -160,42 +210,18 @@ impl ServerWires {
         rows: Option<Arc<ShownRows>>,
         desk: impl FnOnce(Vec<Served>) -> Desk,
     ) -> io::Result<ServerWires> {
-        let all = commands(&set.ports);
         let server = &here.instance;
-        here.executor.add_bell(calls.for_server.clone(), server.clone()).map_err(full)?;
-        let reader = |id: usize| match set.system_command(id) {
-            Some(which) => Reader::System(which),
-            None => Reader::Class(set.commands[id].clone()),
-        };
-        let bound = || binding.functions.iter().map(|(_, id)| *id);
-        let reading = |id: usize| Reading::of(&set.ports, &all, id, rows.is_some());
-        let published = bound().filter(|id| reading(*id) == Some(Reading::Published));
-        let tables = calls.reads.into_iter().zip(calls.whys);
-        let shown = published
-            .zip(tables)
-            .map(|(id, (results, whys))| Shown::new(reader(id), size(all[id].ret.as_ref()), results, whys));
-        let own = bound().filter(|id| reading(*id) == Some(Reading::Here));
-        let own = own.zip(calls.own_reads).map(|(id, word)| (set.commands[id].clone(), word));
-        let face = Face::new(calls.server, shown.collect(), own.collect(), rows.clone());
-        let checks = bound().map(|id| Check {
-            bytes: size(all[id].arg.as_ref().map(|a| &a.ty)),
-            range: all[id].arg.as_ref().and_then(RangeCheck::of),
-        });
-        let asked = |id: usize| matches!(reading(id), Some(Reading::Asked | Reading::Here));
-        let served = bound().enumerate().filter(|(_, id)| asked(*id)).map(|(index, id)| Served {
-            index: index as u32,
-            from: reader(id),
-            arg_bytes: size(all[id].arg.as_ref().map(|a| &a.ty)),
-            range: all[id].arg.as_ref().and_then(RangeCheck::of),
-            ret_bytes: size(all[id].ret.as_ref()),
-        });
-        let desk = desk(served.collect());
+        here.executor.add_bell(calls.for_server.clone(), server.core.clone()).map_err(io::Error::other)?;
+        let bound = Bound { set, all: commands(&set.ports), binding, shows_rows: rows.is_some() };
+        let shown = bound.shown(calls.reads.into_iter().zip(calls.whys));
+        let face = Face::new(calls.server, shown, bound.computed_there(calls.own_reads), rows);
+        let desk = desk(bound.served());
         let commands_in = Inbox::far_commands(
             calls.commands,
             calls.replies,
-            bound().map(|id| set.commands[id].clone()).collect(),
+            bound.ids().map(|id| set.commands[id].clone()).collect(),
             here.from(&connection.client.component),
-            checks.collect(),
+            bound.ids().map(|id| bound.check(id)).collect(),
             connection.options.deadline_ns.unwrap_or(0),
         );
         server.edit_inboxes(|all| all.push(commands_in.clone()));
@@ -241,14 +267,14 @@ impl ServerWires {
                     views.retain(|view| !std::ptr::addr_eq(Arc::as_ptr(view), Arc::as_ptr(face)))
                 });
                 server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
-                server.counters.lose(commands_in.events, commands_in.lost());
+                server.books.lose(commands_in.events, commands_in.lost());
                 commands_in.close(PEER_LOST);
-                server.counters.lose(commands_in.events, commands_in.unexecuted());
+                server.books.lose(commands_in.events, commands_in.unexecuted());
                 commands_in.tell_toll(&**server);
                 here.executor.remove_bell(bell.clone());
             }
         }
-        settle(server);
+        server.settle();
     }
 
     /// Tells whether these are the wires of the present binding.
@@ -328,7 +354,7 @@ impl ServerWires {
         let more = count.saturating_sub(panicked.fetch_max(count, Ordering::Relaxed)).min(MOST_PANICS);
         if more > 0 {
             let text = format!("{} (in process {other})", trocar_model::plain::sentence(text));
-            here.instance.counters.failed_times(Misuse::ReadPanicked, more, text.as_bytes());
+            here.instance.books.failed_times(Misuse::ReadPanicked, more, text.as_bytes());
         }
     }
 
@@ -351,20 +377,5 @@ impl ServerWires {
                 ..LinkDetail::default()
             },
         }
-    }
-}
-
-/// Asks for another look: a cycle under way may still look at the cut wires, which are dropped after it.
-fn settle(instance: &Arc<Instance>) {
-    if instance.reclaim() > 0 {
-        instance.look_at_ports();
-    }
-}
-
-/// Bytes in front of the frames of a stream; 0 without frames.
-pub(super) fn header_bytes(way: &Way) -> usize {
-    match way {
-        Way::Stream { ty: PortType::Frame { header, .. }, .. } => header.size(),
-        _ => 0,
     }
 }

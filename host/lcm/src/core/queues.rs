@@ -5,32 +5,22 @@
 
 use std::sync::{Arc, PoisonError};
 
-use trocar_plugin_api::abi::{
-    DEADLINE, DISABLED, EXECUTED, ErrBuf, INVALID_ARGUMENT, Outcome, PEER_LOST, STATUS_OK, STATUS_PANICKED,
-    Status,
-};
+use trocar_plugin_api::abi::{DEADLINE, DISABLED, EXECUTED, INVALID_ARGUMENT, Outcome, PEER_LOST};
 use trocar_rt::mailbox::EntryHead;
 use trocar_rt::os;
 
-use super::super::boundary::{
-    EntryError, as_bytes, inside, outcome_of, plain_outcome, replaced, sentence, text_in, write_err,
-};
-use super::super::described::Goal;
+use super::super::boundary::{as_bytes, replaced, text_in};
+use super::super::goal::Goal;
 use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
-use super::super::supervise::{Entry, Misdeed};
 use super::super::{context, pending};
-use super::{Entered, Instance, Misuse};
-
-/// Number of calls whose rounding mode is checked, after a Start and after a call that changed it. Reading
-/// the mode costs 10 to 20 ns on some processors, several times a direct call: not every call can be checked.
-pub(crate) const CALLS_ON_TRIAL: u32 = 256;
+use super::{Core, Entered};
 
 /// Tells the tap of a queued command that is not carried out.
 #[cold]
 fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outcome: Outcome) {
     let tap = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened());
     if let Some((tap, command)) = tap.zip(command) {
-        tap.tell_queued(command, arg, outcome);
+        tap.to.tell_queued(command, arg, outcome);
     }
 }
 
@@ -58,17 +48,7 @@ fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> O
     }
 }
 
-/// The rounding mode before one of its calls, while calls are checked.
-#[inline]
-fn look_at_rounding(entered: &mut Entered<'_>) -> Option<u32> {
-    let on_trial = &mut entered.inner().on_trial;
-    (*on_trial > 0).then(|| {
-        *on_trial -= 1;
-        os::rounding()
-    })
-}
-
-impl Instance {
+impl Core {
     /// Changes the list of queues; managers only.
     pub(crate) fn edit_inboxes(&self, f: impl FnOnce(&mut Vec<Arc<Inbox>>)) {
         let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
@@ -84,7 +64,7 @@ impl Instance {
 
     /// Commands and events lost in full queues, including those of connections that are gone.
     pub(crate) fn queue_losses(&self) -> [u64; 2] {
-        let mut lost = self.counters.lost_before();
+        let mut lost = self.books.lost_before();
         for inbox in self.inboxes.enter().iter() {
             lost[usize::from(inbox.events)] += inbox.lost();
         }
@@ -140,7 +120,7 @@ impl Instance {
                     (_, Some(_)) if head.reply == 0 && !self.is_active() => {
                         turn_away(entered, self.turned_away())
                     }
-                    (_, Some(command)) if self.is_late(inbox, head, command, payload) => {
+                    (_, Some(command)) if self.is_late(entered, inbox, head, command, payload) => {
                         turn_away(entered, DEADLINE)
                     }
                     (_, Some(command)) => self.answer(entered, inbox, command, head.reply, payload),
@@ -156,7 +136,14 @@ impl Instance {
 
     /// Tells whether a command has waited longer than it says, or longer than its goal is valid. Running it
     /// would move a device by a wish from before a standstill. Real-time.
-    fn is_late(&self, inbox: &Inbox, head: EntryHead, command: u32, arg: &[u8]) -> bool {
+    fn is_late(
+        &self,
+        entered: &mut Entered<'_>,
+        inbox: &Inbox,
+        head: EntryHead,
+        command: u32,
+        arg: &[u8],
+    ) -> bool {
         if head.kind == ENTRY_DUE {
             return os::now_ns() > head.stamp_ns;
         }
@@ -164,46 +151,9 @@ impl Instance {
         if head.stamp_ns == 0 {
             return false;
         }
-        let goal = self.described.look(|set| set.goals.get(command as usize).copied().unwrap_or_default());
+        let goal = entered.inner().goals.get(command as usize).copied().unwrap_or_default();
         may_wait_ns(goal.with(arg), inbox.deadline_ns, self.is_actuator(), self.period_ns())
             .is_some_and(|longest_ns| os::now_ns().saturating_sub(head.stamp_ns) > longest_ns)
-    }
-
-    /// Counts the failure; the watchdog reports it. Real-time unless the handler panicked.
-    #[cold]
-    fn handler_failed(&self, entered: &mut Entered<'_>, status: Status, err: &mut ErrBuf) {
-        if status == STATUS_PANICKED {
-            self.fail(entered, "on_event", &EntryError::new(status, sentence(err)));
-        } else {
-            self.counters.failed(Misuse::HandlerFailed, text_in(err));
-        }
-    }
-
-    /// Runs a handler inside the `emit` of another component of the same thread. Real-time.
-    #[inline]
-    pub(crate) fn handle(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
-        let before = inside::swap_component(Arc::as_ptr(&self.host));
-        self.deliver(entered, handler, payload);
-        if !self.owes_row() {
-            self.publish_state(entered);
-        }
-        inside::swap_component(before);
-    }
-
-    #[inline]
-    fn deliver(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
-        if !self.is_active() {
-            return;
-        }
-        let watched = self.watch.begin(Entry::Event, 0);
-        let mut err = entered.err_buf();
-        let rounding = look_at_rounding(entered);
-        let status = entered.on_event(handler, payload.as_ptr(), &raw mut err);
-        self.keep_rounding(entered, rounding);
-        self.watch.leave(watched);
-        if status != STATUS_OK {
-            self.handler_failed(entered, status, &mut err);
-        }
     }
 
     fn answer(&self, entered: &mut Entered<'_>, inbox: &Inbox, command: u32, reply: u64, payload: &[u8]) {
@@ -247,68 +197,6 @@ impl Instance {
         }
     }
 
-    /// Runs one command.
-    #[inline(always)]
-    pub(crate) fn command_inside(
-        &self,
-        entered: &mut Entered<'_>,
-        command: u32,
-        arg: *const u8,
-        ret: *mut u8,
-        err: *mut ErrBuf,
-    ) -> Outcome {
-        // The reason of a panic is kept also where the caller wants none.
-        let mut own = entered.err_buf();
-        let err = if err.is_null() { &raw mut own } else { err };
-        let before = inside::swap_component(Arc::as_ptr(&self.host));
-        let watched = self.watch.begin_command(command);
-        let rounding = look_at_rounding(entered);
-        let status = entered.command(command, arg, ret, err);
-        self.keep_rounding(entered, rounding);
-        self.watch.leave(watched);
-        inside::swap_component(before);
-        self.counters.command();
-        if let Some(tap) = entered.inner().command_tap.as_ref().filter(|tap| tap.is_listened()) {
-            tap.tell(command, arg, plain_outcome(status), self.object.is_kept_here());
-        }
-        if status == STATUS_PANICKED {
-            self.command_panicked(entered, command, err);
-        } else if !self.owes_row() {
-            self.publish_state(entered);
-        }
-        if status == STATUS_OK { EXECUTED } else { outcome_of(status, err) }
-    }
-
-    /// Restores the rounding mode from before a command or handler: the code that runs next on this thread
-    /// may be its caller's. Real-time, no system call.
-    #[inline]
-    fn keep_rounding(&self, entered: &mut Entered<'_>, before: Option<u32>) {
-        let Some(before) = before else { return };
-        if os::rounding() != before {
-            os::reset_rounding(before);
-            entered.inner().on_trial = CALLS_ON_TRIAL;
-            self.watch.misdeed(Misdeed::RoundingInCall);
-        }
-    }
-
-    #[cold]
-    fn command_panicked(&self, entered: &mut Entered<'_>, command: u32, err: *mut ErrBuf) {
-        let error = EntryError::new(STATUS_PANICKED, sentence(err));
-        let entry =
-            self.command_name(command).map_or_else(|| "command".into(), |name| format!("command {name}"));
-        self.fail(entered, &entry, &error);
-        // Making it safe may have failed as well, and written its sentence to the same place.
-        write_err(err, error.text.as_bytes());
-    }
-
-    /// `interface/command` of the command at this position, by the present ports.
-    pub(crate) fn command_name(&self, command: u32) -> Option<String> {
-        let ports = self.ports();
-        let mut all = ports.provided.iter().flat_map(|i| i.commands.iter().map(move |c| (i, c)));
-        let (interface, command) = all.nth(command as usize)?;
-        Some(format!("{}/{}", interface.name, command.name))
-    }
-
     /// Runs the entries queued while a thread was inside a passive component.
     #[inline]
     pub(crate) fn drain_if_passive(&self) {
@@ -332,11 +220,6 @@ impl Instance {
             // Also where this is its own thread, which may be about to rest.
             context::wake(&self.waker);
         }
-    }
-
-    /// Leaves the mark for the thread inside; true when no thread is inside any more.
-    pub(super) fn leave_mark(&self) -> bool {
-        self.signalled.leave(|| self.object.is_free())
     }
 }
 

@@ -1,68 +1,30 @@
-//! Outputs: the slots through which samples and frames leave a component.
+//! The host's cell behind an output slot: its type, its links, its counts.
 //!
-//! Invariant: an output never waits for a reader; every write counts, read or not, so a gap at a reader is
-//! the number of samples it missed.
+//! Invariant: every write counts, read or not; state rows this thread owes are published before a sample
+//! tells another thread of their values.
 
-mod pools;
-mod slots;
-
-use std::io::Write;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
+use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_model::PortType;
 use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Outcome, UNBOUND};
 use trocar_rt::cell::BindingCell;
-use trocar_rt::os;
-use trocar_rt::pool::Frame;
-use trocar_rt::segment::Word;
-use trocar_rt::stream::{Meta, StreamWriter};
-use trocar_rt::wake::Waker;
+use trocar_rt::os::{self, OsError};
+use trocar_rt::pool::{Frame, FramePool, PoolFile};
+use trocar_rt::stream::Meta;
 
-use super::super::context;
-use super::super::instance::{Instance, Misuse};
-use super::super::pending;
-use super::host_table::HostContext;
-use super::input::InCell;
-use super::inside::{running, runs_kept};
-use super::{late, told};
-use pools::Pools;
-pub(super) use slots::{cancel, commit, forward, loan, reserve, type_of, write, write_bytes};
+use super::super::super::books::Misuse;
+use super::super::super::{context, pending};
+use super::super::host_table::HostContext;
+use super::super::input::{InCell, Shown};
+use super::super::inside::running;
+use super::link::{OUTSIDE, OutLink};
+use super::pools::Pools;
 
 /// Most by which a stamp may be ahead of this machine's clock, ns: the translation of a device's time has
 /// such an error.
 const STAMP_BOUND_NS: u64 = 10_000_000;
-/// Connection number of readers from outside.
-pub(crate) const OUTSIDE: u64 = 0;
-
-/// The producer's end of one connection.
-pub(crate) struct OutLink {
-    /// The connection, or [`OUTSIDE`].
-    pub(crate) connection: u64,
-    writer: StreamWriter,
-    consumer: Consumer,
-    /// True for a reader that only observes: it is given samples when the writer's turn ends.
-    observes: bool,
-}
-
-/// The reader of a link, and the way it is told that there is something to read.
-pub(crate) enum Consumer {
-    /// A component of this process; and the place for the stamp of the newest sample, for connections with a
-    /// `max_age`.
-    Here(Arc<Instance>, Option<Arc<AtomicU64>>),
-    /// A component of another process; likewise, and the place for the number of the first sample it is
-    /// offered.
-    Far { bell: Arc<Waker>, newest_ns: Option<Word>, first: Arc<AtomicU64> },
-    /// A reader outside, which polls.
-    Outside,
-}
-
-impl OutLink {
-    /// `observes`: its reader only looks on, see [`trocar_model::Ports::looks_on`].
-    pub(crate) fn new(connection: u64, writer: StreamWriter, consumer: Consumer, observes: bool) -> Self {
-        OutLink { connection, writer, consumer, observes }
-    }
-}
 
 /// Memory layout of an output's samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,7 +52,7 @@ pub(crate) struct Outs {
     /// The type of the samples; `None` for an untyped output that is not connected.
     ty: Option<PortType>,
     /// The same as manifest JSON, empty while unconnected.
-    described: Arc<str>,
+    pub(super) described: Arc<str>,
     links: Vec<Arc<OutLink>>,
     /// Set when the component that owned the output is gone; then its shape is unknown.
     gone: Option<Arc<HostContext>>,
@@ -98,31 +60,27 @@ pub(crate) struct Outs {
 
 /// Host cell behind an output slot.
 pub(crate) struct OutCell {
-    pub(super) outs: BindingCell<Outs>,
+    pub(crate) outs: BindingCell<Outs>,
     /// Lets managers change it one after the other.
     editing: Mutex<()>,
     /// Source of frames.
-    pools: BindingCell<Pools>,
-    /// Lets pools be changed one after the other.
-    pooling: Mutex<()>,
-    /// Number of the last pool that was locked or whose locking failed; 0 = none.
-    locked: AtomicU64,
+    pub(super) pools: Pools,
     /// The component's inputs, whose samples may be passed on.
-    inputs: BindingCell<Vec<Arc<InCell>>>,
+    pub(super) inputs: BindingCell<Vec<Arc<InCell>>>,
     /// The class gave no type: the type of the first connection holds while there is one.
     untyped: bool,
     /// Writes so far.
     pub(crate) seq: AtomicU64,
     /// Bytes so far, headers included.
     pub(crate) total_bytes: AtomicU64,
-    /// Refused loans so far; counted here, as pools come and go.
-    exhausted: AtomicU64,
     /// For a tap: true once a reader was connected.
-    pub(super) listened: AtomicBool,
+    listened: Arc<AtomicBool>,
+    /// Its name, for what is told of it.
+    name: Box<str>,
 }
 
 impl OutCell {
-    pub(super) fn new(ty: &PortType) -> Self {
+    pub(crate) fn new(name: &str, ty: &PortType) -> Self {
         let untyped = *ty == PortType::Any;
         let outs = Outs {
             shape: Shape::of(ty),
@@ -134,15 +92,13 @@ impl OutCell {
         OutCell {
             outs: BindingCell::new(Box::new(outs)),
             editing: Mutex::new(()),
-            pools: BindingCell::new(Box::default()),
-            pooling: Mutex::new(()),
-            locked: AtomicU64::new(0),
+            pools: Pools::default(),
             inputs: BindingCell::new(Box::default()),
             untyped,
             seq: AtomicU64::new(0),
             total_bytes: AtomicU64::new(0),
-            exhausted: AtomicU64::new(0),
-            listened: AtomicBool::new(false),
+            listened: Arc::default(),
+            name: name.into(),
         }
     }
 
@@ -182,7 +138,7 @@ impl OutCell {
                     outs.links.clear();
                     outs.shape = Shape::of(&PortType::Any);
                     outs.ty = None;
-                    self.change_pool(None);
+                    self.pools.change(None);
                 }
             }
         });
@@ -213,13 +169,57 @@ impl OutCell {
         self.outs.swap(Box::new(outs));
     }
 
-    pub(super) fn reclaim(&self) -> usize {
-        self.drop_pools();
+    pub(crate) fn reclaim(&self) -> usize {
         self.outs.reclaim() + self.pools.reclaim() + self.inputs.reclaim()
     }
 
+    /// (Re)makes the pool; not from `step`.
+    ///
+    /// # Errors
+    /// There is no memory for it.
+    pub(crate) fn make_pool(&self, max_bytes: usize, slots: u32) -> io::Result<()> {
+        let pool = FramePool::new(slots, self.shape().bytes, max_bytes)?;
+        self.pools.change(Some(pool));
+        Ok(())
+    }
+
+    /// Warns the component whose code runs here, and whose output this is, that it got no pool.
+    pub(super) fn tell_refused(&self, asked: &str) {
+        let owner = running(|core| core.component()).flatten();
+        match owner {
+            Some(owner) => owner.warn(&format!("{}: {asked}", self.name)),
+            None => log::error!("{asked}"),
+        }
+    }
+
+    /// The memory of all its pools, for readers in another process.
+    pub(crate) fn pool_files(&self) -> Vec<Arc<PoolFile>> {
+        self.pools.files()
+    }
+
+    /// Locks the lending pool into memory, once; returns the reason of a failure. Managers only.
+    pub(crate) fn lock_pool(&self) -> Option<OsError> {
+        self.pools.lock()
+    }
+
+    /// Figures of the pool that lends now; `None` without a pool.
+    #[cfg(test)]
+    pub(crate) fn pool(&self) -> Option<trocar_rt::PoolStats> {
+        self.pools.stats()
+    }
+
+    /// Loans that were refused, over all pools.
+    pub(crate) fn exhausted(&self) -> u64 {
+        self.pools.exhausted()
+    }
+
+    /// True once a reader was connected; for its tap.
+    pub(crate) fn listened(&self) -> &Arc<AtomicBool> {
+        &self.listened
+    }
+
     /// Marks the output's component as gone. Frames that are out keep their pool.
-    pub(super) fn retire(&self, gone: &Arc<HostContext>) {
+    pub(crate) fn retire(&self, gone: &Arc<HostContext>) {
         self.edit(|outs| {
             *outs = Outs {
                 shape: Shape::of(&PortType::Any),
@@ -229,14 +229,12 @@ impl OutCell {
                 gone: Some(gone.clone()),
             };
         });
-        let one = self.pooling.lock().unwrap_or_else(PoisonError::into_inner);
-        self.pools.swap(Box::default());
-        drop(one);
+        self.pools.retire();
         self.know(Vec::new());
     }
 
     /// Sets the inputs whose samples may be passed on through this output; managers only.
-    pub(super) fn know(&self, inputs: Vec<Arc<InCell>>) {
+    pub(crate) fn know(&self, inputs: Vec<Arc<InCell>>) {
         self.inputs.swap(Box::new(inputs));
     }
 
@@ -277,23 +275,17 @@ impl OutCell {
     #[cold]
     #[inline(never)]
     fn note_ahead(&self, ahead_ns: u64) {
-        running(|instance| {
-            let mut said = [0; 96];
-            let room = said.len();
-            let mut rest = said.as_mut_slice();
-            instance.described.look(|set| {
-                let name = set.slots.output_of(self).map(|i| set.ports.outputs[i].name.as_str());
-                // A longer text is cut.
-                let _ =
-                    write!(rest, "{:.3} s ahead at {}", ahead_ns as f64 / 1e9, name.unwrap_or("an output"));
-            });
-            let len = room - rest.len();
-            instance.counters.failed(Misuse::StampedAhead, &said[..len]);
-        });
+        let mut said = [0; 96];
+        let room = said.len();
+        let mut rest = said.as_mut_slice();
+        // A longer text is cut.
+        let _ = write!(rest, "{:.3} s ahead at {}", ahead_ns as f64 / 1e9, self.name);
+        let len = room - rest.len();
+        running(|core| core.books.failed(Misuse::StampedAhead, &said[..len]));
     }
 
     /// Publishes one plain sample of the output's size.
-    fn publish_plain(&self, outs: &Outs, value: &[u8], stamp_ns: u64) -> Outcome {
+    pub(super) fn publish_plain(&self, outs: &Outs, value: &[u8], stamp_ns: u64) -> Outcome {
         if outs.links.is_empty() {
             self.count_unread(value.len());
             return UNBOUND;
@@ -333,8 +325,7 @@ impl OutCell {
     #[cold]
     pub(crate) fn collect(&self) {
         self.outs.look(|outs| {
-            let far = outs.links.iter().filter(|link| matches!(link.consumer, Consumer::Far { .. }));
-            far.for_each(|link| link.writer.collect());
+            outs.links.iter().for_each(|link| link.collect());
         });
     }
 }
@@ -344,14 +335,14 @@ impl Outs {
     /// to observers do this themselves, when they push.
     #[inline]
     fn publish_owed(&self) {
-        if !self.links.iter().all(|link| link.observes || link.is_read_here()) {
+        if !self.links.iter().all(|link| link.observes() || link.is_read_here()) {
             pending::publish();
         }
     }
 
     /// The outcome of a write while there is no type.
     #[cold]
-    fn unbound(&self) -> Outcome {
+    pub(super) fn unbound(&self) -> Outcome {
         if let Some(gone) = &self.gone {
             gone.note_late();
         }
@@ -359,141 +350,34 @@ impl Outs {
     }
 
     /// Tells whether its component is gone.
-    fn is_gone(&self) -> bool {
+    pub(super) fn is_gone(&self) -> bool {
         self.gone.is_some()
     }
 
     #[inline]
-    pub(super) fn is_unread(&self) -> bool {
+    pub(crate) fn is_unread(&self) -> bool {
         self.links.is_empty()
     }
 
     /// Offers the sample of a tap to every reader; zeros fill it up to the size of its samples.
     #[inline]
-    pub(super) fn tell(&self, head: &[u8], body: &[u8], meta: Meta) {
+    pub(crate) fn tell(&self, head: &[u8], body: &[u8], meta: Meta) {
         for link in &self.links {
-            link.begin(meta.seq);
-            link.writer.push_parts(head, body, self.shape.bytes, meta);
-            link.signal(meta.came_ns);
-        }
-    }
-}
-
-impl OutLink {
-    /// Tells whether only this very thread can take the written sample: it holds the consumer's entry lock
-    /// for its cycle.
-    #[inline]
-    fn is_read_here(&self) -> bool {
-        matches!(&self.consumer, Consumer::Here(consumer, _) if consumer.object.is_kept_here())
-    }
-
-    /// Tells whether the reader observes from another thread.
-    #[inline]
-    fn is_watched(&self) -> bool {
-        self.observes && !self.is_read_here()
-    }
-
-    #[inline]
-    fn push(&self, value: &[u8], meta: Meta) {
-        if self.is_watched() {
-            // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
-            if runs_kept() && unsafe { late::sample(self, value, meta) } {
-                return;
-            }
-            pending::publish();
-        }
-        self.push_now(value, meta);
-    }
-
-    #[inline]
-    fn push_frame(&self, mut frame: Frame, meta: Meta) {
-        if self.is_watched() {
-            if runs_kept() {
-                // SAFETY: as in `push`.
-                match unsafe { late::frame(self, frame, meta) } {
-                    None => return,
-                    Some(given_back) => frame = given_back,
-                }
-            }
-            pending::publish();
-        }
-        self.push_frame_now(frame, meta);
-    }
-
-    /// Pushes the frame now, to any kind of reader.
-    #[inline]
-    pub(crate) fn push_frame_now(&self, frame: Frame, meta: Meta) {
-        self.begin(meta.seq);
-        self.writer.push_frame(frame, meta);
-        self.signal(meta.came_ns);
-    }
-
-    #[inline]
-    pub(crate) fn push_now(&self, value: &[u8], meta: Meta) {
-        if self.is_read_here() {
-            // SAFETY: only the thread inside the component uses its reader, and this thread has the lock for
-            // that until its cycle ends: no other thread is inside meanwhile, and the next holder of the lock
-            // comes after.
-            unsafe { self.writer.push_here(value, meta) };
-        } else {
-            self.begin(meta.seq);
-            self.writer.push(value, meta);
-        }
-        self.signal(meta.came_ns);
-    }
-
-    /// Notes the number of the first sample for another process, before that sample is counted.
-    #[inline(always)]
-    fn begin(&self, seq: u64) {
-        if let Consumer::Far { first, .. } = &self.consumer
-            && first.load(Ordering::Relaxed) == 0
-        {
-            first.store(seq, Ordering::Relaxed);
-            // Pairs with the fence of `ServerWires::offered`: a reader that finds the sample counted finds
-            // its number.
-            fence(Ordering::Release);
-        }
-    }
-
-    #[inline(always)]
-    fn signal(&self, came_ns: u64) {
-        match &self.consumer {
-            Consumer::Here(consumer, None) => Self::tell_of_sample(consumer),
-            _ => self.signal_with_age(came_ns),
-        }
-    }
-
-    /// Signals the consumer of this link.
-    #[inline(always)]
-    fn tell_of_sample(consumer: &Instance) {
-        if !consumer.looks_for_samples() {
-            // SAFETY: as in `push`.
-            unsafe { told::signal(consumer) };
-        }
-    }
-
-    // Kept apart, so that the common way stays small.
-    #[inline(never)]
-    fn signal_with_age(&self, came_ns: u64) {
-        match &self.consumer {
-            Consumer::Here(consumer, newest_ns) => {
-                if let Some(newest_ns) = newest_ns {
-                    newest_ns.store(came_ns, Ordering::Relaxed);
-                }
-                Self::tell_of_sample(consumer);
-            }
-            Consumer::Far { bell, newest_ns, .. } => {
-                if let Some(newest_ns) = newest_ns {
-                    newest_ns.set(came_ns);
-                }
-                context::wake(bell);
-            }
-            Consumer::Outside => {}
+            link.push_parts(head, body, self.shape.bytes, meta);
         }
     }
 }
 
 impl OutCell {
+    /// Publishes a sample that an input shows, a frame without a copy.
+    pub(crate) fn forward(&self, shown: Shown<'_>, stamp_ns: u64) -> Outcome {
+        match shown {
+            Shown::Frame(frame) => self.forward_frame(frame, stamp_ns),
+            Shown::Plain(value) => self.forward_plain(value, stamp_ns),
+            Shown::Nothing => INVALID_ARGUMENT,
+        }
+    }
+
     /// Publishes a frame that some input holds; its header must be the output's.
     pub(super) fn forward_frame(&self, frame: Frame, stamp_ns: u64) -> Outcome {
         self.outs.look(|outs| match &outs.shape {

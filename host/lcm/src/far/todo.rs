@@ -1,0 +1,58 @@
+//! The halves of this process, and the tasks of the thread `trocar-far` with them.
+//!
+//! Invariant: tasks are done in the order in which they came; whoever leaves one never waits for it.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::oneshot;
+use trocar_links::{Message, Session};
+use trocar_rt::wake::Waker;
+
+use super::super::loss::Loss;
+use super::half::Half;
+
+/// The halves by the number of their connection.
+pub(super) type Halves = Arc<Mutex<BTreeMap<u64, Arc<Half>>>>;
+
+pub(super) fn locked(halves: &Halves) -> MutexGuard<'_, BTreeMap<u64, Arc<Half>>> {
+    halves.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub(super) fn all(halves: &Halves) -> Vec<Arc<Half>> {
+    locked(halves).values().cloned().collect()
+}
+
+pub(super) enum Todo {
+    Met(Arc<Session>),
+    Said(Arc<Session>, Message),
+    Lost(Arc<Session>, String),
+    /// The half is in the list, and replaced this other one there.
+    Added(Arc<Half>, Option<Arc<Half>>),
+    /// The half is not in the list any more.
+    Removed(Arc<Half>, Loss, oneshot::Sender<()>),
+    Stop,
+}
+
+/// Tasks of `trocar-far`. Its bell is also rung by outputs that give frames of a pool the reader does not
+/// know.
+#[derive(Default)]
+pub(super) struct Todos {
+    queue: Mutex<VecDeque<Todo>>,
+    pub(super) bell: Arc<Waker>,
+}
+
+impl Todos {
+    fn queue(&self) -> MutexGuard<'_, VecDeque<Todo>> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn push(&self, todo: Todo) {
+        self.queue().push_back(todo);
+        self.bell.notify();
+    }
+
+    pub(super) fn next(&self) -> Option<Todo> {
+        self.queue().pop_front()
+    }
+}
