@@ -351,45 +351,13 @@ impl LocalLcm {
         undo: impl FnOnce(&Instance, &mut Entered<'_>, R) + Send + 'static,
     ) -> Result<R, Refusal> {
         let (tell, mut told) = oneshot::channel();
-        // The first of the two decides the result: the end of the work or that of the patience.
         let decided = Arc::new(AtomicBool::new(false));
-        let first = decided.clone();
-        let instance = slot.instance.clone();
         let until_ns = os::now_ns().saturating_add(
             u64::try_from(deadline.saturating_duration_since(Instant::now()).as_nanos())
                 .unwrap_or(u64::MAX / 2),
         );
-        slot.executor.submit(move |_| {
-            // The caller has given up: the work is not done any more.
-            if tell.is_closed() {
-                return;
-            }
-            // A passive component may be busy in a caller's thread.
-            if let Some(mut entered) = instance.object.enter_until(until_ns) {
-                let manners = Manners::before(&instance);
-                let result = instance.as_running(entry, || f(&instance, &mut entered));
-                manners.after(&instance, entry);
-                let mut late = Some(result);
-                if !first.swap(true, Ordering::AcqRel) {
-                    instance.leave(entered);
-                    // The result comes back when the caller's whole request was dropped.
-                    late = late.and_then(|result| tell.send(result).err());
-                    if late.is_none() {
-                        return;
-                    }
-                    match instance.object.enter_until(os::now_ns() + UNDO_NS) {
-                        Some(again) => entered = again,
-                        None => return,
-                    }
-                }
-                if let Some(result) = late {
-                    let late = format!("{} came back after its caller had given up", entry.name());
-                    instance.say(log::Level::Warn, &late);
-                    instance.as_running(entry, || undo(&instance, &mut entered, result));
-                }
-                instance.leave(entered);
-            }
-        });
+        let errand = Errand { instance: slot.instance.clone(), entry, until_ns, decided: decided.clone() };
+        slot.executor.submit(move |_| errand.run(tell, f, undo));
         match tokio::time::timeout_at(deadline.into(), &mut told).await {
             Ok(Ok(result)) => return Ok(result),
             Ok(Err(_)) => {}
@@ -405,6 +373,57 @@ impl LocalLcm {
             process: self.hub.process.clone(),
             what: format!("{} of {}", entry.name(), slot.instance.id),
         })
+    }
+}
+
+/// Work inside a component for a caller who may give up.
+struct Errand {
+    instance: Arc<Instance>,
+    entry: Entry,
+    /// Time at which the caller gives up, ns.
+    until_ns: u64,
+    /// The first of the two decides the result: the end of the work or that of the patience.
+    decided: Arc<AtomicBool>,
+}
+
+impl Errand {
+    /// Does the work on the component's own thread and tells its result, or has it undone where nobody waits
+    /// for it any more.
+    fn run<R: Send + 'static>(
+        self,
+        tell: oneshot::Sender<R>,
+        f: impl FnOnce(&Instance, &mut Entered<'_>) -> R,
+        undo: impl FnOnce(&Instance, &mut Entered<'_>, R),
+    ) {
+        let Errand { instance, entry, until_ns, decided } = self;
+        // The caller has given up: the work is not done any more.
+        if tell.is_closed() {
+            return;
+        }
+        // A passive component may be busy in a caller's thread.
+        let Some(mut entered) = instance.object.enter_until(until_ns) else { return };
+        let manners = Manners::before(&instance);
+        let result = instance.as_running(entry, || f(&instance, &mut entered));
+        manners.after(&instance, entry);
+        let mut late = Some(result);
+        if !decided.swap(true, Ordering::AcqRel) {
+            instance.leave(entered);
+            // The result comes back when the caller's whole request was dropped.
+            late = late.and_then(|result| tell.send(result).err());
+            if late.is_none() {
+                return;
+            }
+            match instance.object.enter_until(os::now_ns() + UNDO_NS) {
+                Some(again) => entered = again,
+                None => return,
+            }
+        }
+        if let Some(result) = late {
+            let late = format!("{} came back after its caller had given up", entry.name());
+            instance.say(log::Level::Warn, &late);
+            instance.as_running(entry, || undo(&instance, &mut entered, result));
+        }
+        instance.leave(entered);
     }
 }
 

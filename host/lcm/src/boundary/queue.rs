@@ -9,7 +9,7 @@ use std::sync::Arc;
 use trocar_plugin_api::abi::{CallOpts, DEADLINE, MODE_CALL, Outcome, QUEUE_FULL, QUEUED};
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
 use trocar_rt::os;
-use trocar_rt::reply::{Reply, ReplyPool};
+use trocar_rt::reply::{Reply, ReplyPool, Ticket};
 
 use super::super::context;
 use super::super::inbox::{ENTRY_COMMAND, ENTRY_DUE};
@@ -69,15 +69,13 @@ pub(super) fn queue(
     opts: Option<&mut CallOpts>,
 ) -> Outcome {
     pending::publish();
-    let ticket = if mode == MODE_CALL {
-        match to.replies().acquire() {
+    let ticket = match mode {
+        MODE_CALL => match to.replies().acquire() {
             Some(ticket) => Some(ticket),
             None => return QUEUE_FULL,
-        }
-    } else {
-        None
+        },
+        _ => None,
     };
-    let reply = ticket.as_ref().map_or(0, |t| t.token());
     let says_when = opts.as_ref().is_some_and(|o| o.deadline_ns > 0);
     let (kind, stamp_ns) = if ticket.is_some() || says_when {
         (ENTRY_DUE, os::now_ns().saturating_add(deadline_ns))
@@ -85,7 +83,24 @@ pub(super) fn queue(
         // The server judges the age of a call without a deadline of its own.
         (ENTRY_COMMAND, if lane.ages { context::about_now_ns() } else { 0 })
     };
-    let head = EntryHead { kind, index: lane.index, reply, stamp_ns };
+    let reply = ticket.as_ref().map_or(0, |t| t.token());
+    if let Some(refused) = push(to, lane, EntryHead { kind, index: lane.index, reply, stamp_ns }, arg) {
+        return refused;
+    }
+    to.signal();
+    to.queued();
+    let Some(ticket) = ticket else { return QUEUED };
+    if let Some(why) = to.away() {
+        // The server was stopped after the first check, perhaps on a thread that is held up: the thread that
+        // stopped it may have looked into the queue before this call was there.
+        to.replies().fail(ticket.token(), why);
+    }
+    wait(ticket, stamp_ns, (ret, lane.ret_bytes), opts)
+}
+
+/// Puts a call into the queue; the outcome of one that was not taken.
+#[inline]
+fn push(to: &impl Destination, lane: &Lane, head: EntryHead, arg: *const u8) -> Option<Outcome> {
     let payload: &[u8] = if lane.arg_bytes == 0 {
         &[]
     } else {
@@ -96,23 +111,24 @@ pub(super) fn queue(
         Push::Queued => {}
         Push::Full => {
             to.signal_now();
-            return QUEUE_FULL;
+            return Some(QUEUE_FULL);
         }
-        Push::TooLong => return QUEUE_FULL,
-        Push::Closed => return to.closed(),
+        Push::TooLong => return Some(QUEUE_FULL),
+        Push::Closed => return Some(to.closed()),
         Push::DroppedOldest(old) => replaced(to.replies(), old.reply),
     }
-    to.signal();
-    to.queued();
-    let Some(ticket) = ticket else { return QUEUED };
-    if let Some(why) = to.away() {
-        // The server was stopped after the first check, perhaps on a thread that is held up: the thread that
-        // stopped it may have looked into the queue before this call was there.
-        to.replies().fail(ticket.token(), why);
-    }
-    let ret_bytes = lane.ret_bytes;
+    None
+}
+
+/// Waits until `until_ns` for the answer of a queued call, whose result goes to `ret`.
+fn wait(
+    ticket: Ticket,
+    until_ns: u64,
+    (ret, ret_bytes): (*mut u8, usize),
+    opts: Option<&mut CallOpts>,
+) -> Outcome {
     let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
-    let reply = ticket.wait(stamp_ns, |value, text| {
+    let reply = ticket.wait(until_ns, |value, text| {
         if ret_bytes > 0 {
             // SAFETY: `ret` has room for the result type; reply cells are made at least that large.
             unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), ret, ret_bytes.min(value.len())) };

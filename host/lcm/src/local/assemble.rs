@@ -9,12 +9,13 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 use trocar_model::{
-    ComponentId, Execution, ExecutionModel, Health, Refusal, State, StopReason, Verb, allowed,
+    ClassInfo, ComponentId, Execution, ExecutionModel, Health, Refusal, State, StopReason, Verb, allowed,
 };
 use trocar_rt::os;
 
 use super::super::Report;
-use super::super::boundary::EntryResult;
+use super::super::boundary::{EntryResult, LoadedClass};
+use super::super::classes::Classes;
 use super::super::executor::Executor;
 use super::super::instance::{Entered, Instance};
 use super::super::lifecycle::{
@@ -81,72 +82,72 @@ impl LocalLcm {
             });
         };
         self.lets_in(classes.as_ref(), &component.class)?;
-        let (info, process) = (component.class.clone(), self.hub.process.clone());
-        let loading = tokio::task::spawn_blocking(move || classes.load(&info));
-        let class = match tokio::time::timeout_at(deadline.into(), loading).await {
-            Ok(Ok(loaded)) => loaded?,
-            Ok(Err(e)) => return Err(Refusal::Internal { text: format!("loading panicked: {e}") }),
-            Err(_) => {
-                return Err(Refusal::LcmTimeout { process, what: format!("loading the class of {id}") });
-            }
-        };
+        let class = self.load(classes, &component.class, &id, deadline).await?;
         let execution = component.execution.clone();
-        let executor = self.executor_for(&id, &execution)?;
+        let (executor, own) = self.executor_for(&id, &execution)?;
         let number = self.next_number.fetch_add(1, Ordering::Relaxed);
-        let class_info = component.class.clone();
         let made = Instance::new(
             (number, id.clone()),
-            (class_info, class),
+            (component.class.clone(), class),
             (self.hub.clone(), self.remains.clone()),
             &execution,
-            executor.0.thread(),
+            executor.thread(),
         );
-        let made = match made {
-            Ok(made) => made,
-            Err(no_room) => {
-                if executor.1 {
-                    executor.0.close();
-                }
-                return Err(no_room.refusal(&id));
+        let instance = made.map_err(|no_room| {
+            if own {
+                executor.close();
             }
-        };
-        self.roster.add(Ward::new(made.clone(), executor.0.clone()));
+            no_room.refusal(&id)
+        })?;
+        self.roster.add(Ward::new(instance.clone(), executor.clone()));
         self.hub.logs.name(number, Some(&id));
-        let mut slot = Slot { instance: made, executor: executor.0, execution, config: None, phase: None };
+        let slot = Slot { instance, executor, execution, config: None, phase: None };
         let done = self.inside(&slot, Entry::Create, deadline, make).await;
-        match done {
-            Ok(Ok(())) => {
-                slot.instance.set_thread(slot.executor.settings.clone());
-                self.lock_pools(&slot.instance);
-                let report = slot.instance.report(true);
-                let closed = {
-                    let mut held = self.held();
-                    slot.give_phase(held.phases.get(&id));
-                    if !held.closed {
-                        held.components.insert(id, slot.clone());
-                    }
-                    held.closed
-                };
-                if closed {
-                    self.abandon(&slot, executor.1);
-                    return Err(Refusal::lost(self.hub.process.clone()));
-                }
-                self.reorder(&slot);
-                Ok(report)
-            }
-            Ok(Err((entry, e))) => {
-                self.abandon(&slot, executor.1);
-                // There is no component that could be in FAULT; a panic is reported as everywhere.
-                if e.panicked() {
-                    return Err(component_error(&id, entry, e));
-                }
-                Err(Refusal::ComponentRefused { id, entry, text: e.text })
-            }
-            Err(refusal) => {
-                self.abandon(&slot, executor.1);
-                Err(refusal)
-            }
+        let kept = match done {
+            Ok(Ok(())) => self.take_in(id, &slot),
+            // There is no component that could be in FAULT; a panic is reported as everywhere.
+            Ok(Err((entry, e))) if e.panicked() => Err(component_error(&id, entry, e)),
+            Ok(Err((entry, e))) => Err(Refusal::ComponentRefused { id, entry, text: e.text }),
+            Err(refusal) => Err(refusal),
+        };
+        kept.inspect_err(|_| self.abandon(&slot, own))
+    }
+
+    /// Loads a class on a thread that may wait.
+    async fn load(
+        &self,
+        classes: Arc<dyn Classes>,
+        class: &Arc<ClassInfo>,
+        id: &ComponentId,
+        deadline: Instant,
+    ) -> Result<LoadedClass, Refusal> {
+        let (info, process) = (class.clone(), self.hub.process.clone());
+        let loading = tokio::task::spawn_blocking(move || classes.load(&info));
+        match tokio::time::timeout_at(deadline.into(), loading).await {
+            Ok(Ok(loaded)) => loaded,
+            Ok(Err(e)) => Err(Refusal::Internal { text: format!("loading panicked: {e}") }),
+            Err(_) => Err(Refusal::LcmTimeout { process, what: format!("loading the class of {id}") }),
         }
+    }
+
+    /// Takes a component that was made into the list.
+    ///
+    /// # Errors
+    /// This LCM was closed meanwhile.
+    fn take_in(&self, id: ComponentId, slot: &Slot) -> Result<Report, Refusal> {
+        slot.instance.set_thread(slot.executor.settings.clone());
+        self.lock_pools(&slot.instance);
+        let report = slot.instance.report(true);
+        let mut held = self.held();
+        if held.closed {
+            return Err(Refusal::lost(self.hub.process.clone()));
+        }
+        let mut kept = slot.clone();
+        kept.give_phase(held.phases.get(&id));
+        held.components.insert(id, kept);
+        drop(held);
+        self.reorder(slot);
+        Ok(report)
     }
 
     fn abandon(&self, slot: &Slot, own: bool) {
@@ -237,7 +238,6 @@ impl LocalLcm {
         deadline: Instant,
     ) -> Result<Report, Refusal> {
         let slot = self.slot(id)?;
-        let config = slot.config.clone();
         let entry = match verb {
             Verb::Stop => {
                 // The component does not go on by itself any more.
@@ -258,8 +258,38 @@ impl LocalLcm {
         if moves && slot.instance.is_actuator() {
             still_connected(&slot.instance, verb)?;
         }
+        let (stands, done) = self.drive(&slot, verb, entry, deadline).await?;
+        let Some(done) = done else {
+            return Err(wrong_state(id, stands, verb, "it failed before this came to its turn".into()));
+        };
+        done.map_err(|(entry, e)| component_error(id, entry, e))?;
+        // The component was stopped again at once: no caller may be told that it runs.
+        if moves && slot.instance.state() == State::Stopped(StopReason::PeerLost) {
+            still_connected(&slot.instance, verb)?;
+            let why = "what it requires went away while it was being set in motion".to_owned();
+            return Err(wrong_state(id, slot.instance.state(), verb, why));
+        }
+        slot.executor.waker.notify();
+        if verb == Verb::Reset {
+            self.other_code(&slot.instance).iter().for_each(|text| slot.instance.warn(text));
+        }
+        self.lock_pools(&slot.instance);
+        let lost_connections = self.cut_lost(&slot.instance);
+        Ok(Report { lost_connections, ..slot.instance.report(true) })
+    }
+
+    /// Starts, resumes or resets a component on its own thread. Its state before, and the result; no result
+    /// where it had failed before this came to its turn.
+    async fn drive(
+        &self,
+        slot: &Slot,
+        verb: Verb,
+        entry: Entry,
+        deadline: Instant,
+    ) -> Result<(State, Option<EntryResult>), Refusal> {
+        let config = slot.config.clone();
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        let alone = self.is_alone(&slot);
+        let alone = self.is_alone(slot);
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             let from = instance.state();
             let done = match verb {
@@ -280,28 +310,7 @@ impl LocalLcm {
             // There is no way back to the former instance; the new one does not run, and that was reported.
             _ => tell_ports(instance),
         };
-        let (stands, done) = self.inside_or(&slot, entry, deadline, work, undo).await?;
-        let Some(done) = done else {
-            return Err(wrong_state(id, stands, verb, "it failed before this came to its turn".into()));
-        };
-        match done {
-            // The component was stopped again at once: no caller may be told that it runs.
-            Ok(()) if moves && slot.instance.state() == State::Stopped(StopReason::PeerLost) => {
-                still_connected(&slot.instance, verb)?;
-                let why = "what it requires went away while it was being set in motion".to_owned();
-                Err(wrong_state(id, slot.instance.state(), verb, why))
-            }
-            Ok(()) => {
-                slot.executor.waker.notify();
-                if verb == Verb::Reset {
-                    self.other_code(&slot.instance).iter().for_each(|text| slot.instance.warn(text));
-                }
-                self.lock_pools(&slot.instance);
-                let lost_connections = self.cut_lost(&slot.instance);
-                Ok(Report { lost_connections, ..slot.instance.report(true) })
-            }
-            Err((entry, e)) => Err(component_error(id, entry, e)),
-        }
+        self.inside_or(slot, entry, deadline, work, undo).await
     }
 
     /// A warning that Reset keeps the code of the Create, if the plugin's file has changed since.
