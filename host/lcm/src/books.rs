@@ -1,4 +1,5 @@
-//! The books of one component: counted misuse and loss, with the last reason of those that come with one.
+//! The books of one component: the timing of its steps, and counted misuse and loss, with the last reason of
+//! those that come with one.
 //!
 //! Invariant: counting takes no lock that is waited for, and no memory: a step may do it.
 
@@ -6,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use trocar_model::plain::harmless;
+use trocar_rt::timing::CycleStats;
 
 /// An action of a component or its callers that was refused or went wrong: counted at once, reported by the
 /// watchdog.
@@ -111,8 +113,9 @@ impl LastWords {
 }
 
 /// Counted misuse and loss, visible in GetState and Describe.
-#[derive(Default)]
 pub(crate) struct Books {
+    /// Timing of its steps.
+    pub(crate) steps: CycleStats,
     misuses: [AtomicU64; Misuse::ALL.len()],
     commands: AtomicU64,
     /// Commands and events lost in full queues of connections that are gone, and those that never ran before
@@ -123,6 +126,17 @@ pub(crate) struct Books {
 }
 
 impl Books {
+    /// Books of a component that steps with this period, ns; 0 without one.
+    pub(crate) fn new(period_ns: u64) -> Books {
+        Books {
+            steps: CycleStats::new(period_ns),
+            misuses: Default::default(),
+            commands: AtomicU64::new(0),
+            lost_before: Default::default(),
+            last_words: Default::default(),
+        }
+    }
+
     /// Real-time.
     pub(crate) fn misuse(&self, what: Misuse) {
         self.misuses[what as usize].fetch_add(1, Ordering::Relaxed);

@@ -6,6 +6,7 @@
 //! component is gone it is not ACTIVE, and has no instance to enter.
 
 mod calls;
+mod peers;
 mod queues;
 mod rows;
 mod running;
@@ -15,22 +16,21 @@ mod views;
 mod waking;
 
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 
 use trocar_model::{ClassInfo, ComponentId, Execution, Safety, State};
 use trocar_plugin_api::abi::{NOT_ACTIVE, Outcome, PEER_LOST};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mark::Mark;
 use trocar_rt::state::{StateReader, StateWriter, state_table};
-use trocar_rt::timing::CycleStats;
 use trocar_rt::wake::Waker;
 
+use self::peers::Peers;
 use self::terms::Terms;
-use self::views::Views;
 use super::books::Books;
 use super::boundary::{EntryError, LoadedClass, Object};
 use super::context::ExecutorId;
-use super::gate::{ACTIVE, Standing, pack, unpack};
+use super::gate::{ACTIVE, Presence, pack, unpack};
 use super::goal::Goal;
 use super::hub::Hub;
 use super::inbox::Inbox;
@@ -123,7 +123,6 @@ pub(super) struct Core {
     pub(super) rows: StateReader,
     pub(super) state_bytes: usize,
     pub(super) books: Books,
-    pub(super) stats: CycleStats,
     /// State that the watchdog looks at.
     pub(super) watch: Watch,
     gate: AtomicU32,
@@ -138,12 +137,9 @@ pub(super) struct Core {
     executor: ExecutorId,
     waker: Arc<Waker>,
     watchdog: Arc<Waker>,
-    inboxes: BindingCell<Vec<Arc<Inbox>>>,
+    peers: Peers<Core>,
     /// The tap of its commands, for threads that are not inside.
     command_tap: BindingCell<Option<CommandTap>>,
-    /// Lets managers change the list of inboxes one after the other.
-    editing: Mutex<()>,
-    views: Views<Core>,
     /// Rows behind GetState, each a `ComponentStatus`.
     status_rows: StateReader,
     logs: Arc<LogRing>,
@@ -186,8 +182,7 @@ impl Core {
             object: Object::new(class.table(), inner),
             rows,
             state_bytes,
-            books: Books::default(),
-            stats: CycleStats::new(terms.period_ns),
+            books: Books::new(terms.period_ns),
             watch: Watch::default(),
             gate: AtomicU32::new(pack(State::Created)),
             going: AtomicBool::new(false),
@@ -199,10 +194,8 @@ impl Core {
             executor: thread.id,
             waker: thread.waker,
             watchdog: hub.watch.clone(),
-            inboxes: BindingCell::new(Box::new(vec![begin.external])),
+            peers: Peers::new(begin.external),
             command_tap: BindingCell::new(Box::new(begin.command_tap)),
-            editing: Mutex::new(()),
-            views: Views::default(),
             status_rows,
             logs: hub.logs.clone(),
             me: me.clone(),
@@ -246,13 +239,13 @@ impl Core {
     }
 
     /// State of the component for its callers.
-    pub(super) fn standing(&self) -> Standing {
+    pub(super) fn presence(&self) -> Presence {
         if self.going.load(Ordering::SeqCst) || self.is_closed() {
-            Standing::Gone
+            Presence::Gone
         } else if self.is_active() {
-            Standing::Active
+            Presence::Active
         } else {
-            Standing::NotActive
+            Presence::NotActive
         }
     }
 
@@ -316,6 +309,6 @@ impl Core {
 
     /// Drops what cycles that have ended looked at; returns how much is left.
     pub(super) fn reclaim(&self) -> usize {
-        self.inboxes.reclaim() + self.views.reclaim() + self.command_tap.reclaim()
+        self.peers.reclaim() + self.command_tap.reclaim()
     }
 }

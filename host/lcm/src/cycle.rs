@@ -227,7 +227,7 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
     let core = &*member.core;
     // A control entry is still inside; this cycle is left out and counted.
     let Some(mut entered) = core.object.try_enter() else {
-        core.stats.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
+        core.books.steps.record_skipped(1 + if on_grid { cycle.skipped } else { 0 });
         return begin_ns;
     };
     if !core.is_active() {
@@ -259,13 +259,13 @@ fn step(member: &Member, cycle: &Cycle, on_grid: bool, begin_ns: u64) -> u64 {
     let Stepped { end_ns, ran } = enter(core, &mut entered, &tick);
     drop(entered);
     if !ran {
-        core.stats.record_skipped(1 + skipped);
+        core.books.steps.record_skipped(1 + skipped);
         return end_ns;
     }
     // Lateness of its thread; the time that others in the cycle took before it does not count as its own.
     let lateness_ns = if on_grid { cycle.begin_ns.saturating_sub(cycle.deadline_ns) } else { 0 };
-    core.stats.record(begin_ns, end_ns, lateness_ns);
-    core.stats.record_skipped(skipped);
+    core.books.steps.record(begin_ns, end_ns, lateness_ns);
+    core.books.steps.record_skipped(skipped);
     if on_grid && lateness_ns + (end_ns - begin_ns) > period_ns && core.watch.overran() {
         context::wake(core.watchdog());
     }

@@ -33,19 +33,19 @@ pub(super) fn unpack(word: u32) -> State {
 /// State of a server as its callers in other processes see it, in one word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
-pub(crate) enum Standing {
+pub(crate) enum Presence {
     NotActive = 0,
     Active = 1,
     /// The server is removed, or about to be.
     Gone = 2,
 }
 
-impl Standing {
-    pub(crate) fn of(word: u64) -> Standing {
+impl Presence {
+    pub(crate) fn of(word: u64) -> Presence {
         match word {
-            1 => Standing::Active,
-            2 => Standing::Gone,
-            _ => Standing::NotActive,
+            1 => Presence::Active,
+            2 => Presence::Gone,
+            _ => Presence::NotActive,
         }
     }
 }

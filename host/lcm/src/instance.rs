@@ -2,25 +2,26 @@
 //!
 //! Invariant: nothing that stands behind a slot holds it: bindings hold its core.
 
+mod standing;
 mod status;
+mod threads;
 
-use std::collections::BTreeMap;
 use std::ops::Deref;
-use std::sync::{Arc, Mutex, OnceLock, Weak};
+use std::sync::{Arc, Weak};
 
 use trocar_loader::system;
 use trocar_model::{ClassInfo, ComponentId, Execution, State, StopReason};
 use trocar_plugin_api::abi::HostTable;
-use trocar_rt::state::{StateWriter, state_table};
+use trocar_rt::state::state_table;
 
+use self::standing::Standing;
+use self::threads::Threads;
 use super::boundary::{AllRemains, EntryError, HostContext, LoadedClass, NoRoom, SharedTable};
 use super::core::{Beginning, Component, Core};
 use super::described::Described;
 use super::desk::{Account, Asker};
 use super::hub::Hub;
 use super::reading::Reading;
-use super::realtime::Settings;
-use super::supervise::Moment;
 use super::thread::Thread;
 use super::watch::Entry;
 
@@ -41,19 +42,8 @@ pub(super) struct Instance {
     pub(super) described: Described,
     /// Reads from outside.
     pub(super) reading: Reading,
-    fault: Mutex<String>,
-    /// Rows behind GetState, each a `ComponentStatus`.
-    status: Mutex<StateWriter>,
-    /// Settings of its thread that the machine granted or refused; set once.
-    settings: OnceLock<Arc<Settings>>,
-    /// Sentences shown with its state beside those of its thread.
-    warnings: Mutex<Vec<String>>,
-    /// Threads its own code may have started.
-    brood: Mutex<BTreeMap<i32, (String, bool)>>,
-    /// The moment before its code first ran.
-    made: OnceLock<Moment>,
-    /// Required ports whose connection was lost or cut, and the time from which it counts as lost, ns.
-    missing: Mutex<BTreeMap<String, u64>>,
+    standing: Standing,
+    pub(super) threads: Threads,
     host: Arc<HostContext>,
     host_table: Arc<SharedTable>,
     pub(super) hub: Arc<Hub>,
@@ -98,13 +88,8 @@ impl Instance {
             info,
             described,
             reading: Reading::default(),
-            fault: Mutex::new(String::new()),
-            status: Mutex::new(status),
-            settings: OnceLock::new(),
-            warnings: Mutex::new(Vec::new()),
-            brood: Mutex::new(BTreeMap::new()),
-            made: OnceLock::new(),
-            missing: Mutex::new(BTreeMap::new()),
+            standing: Standing::new(status),
+            threads: Threads::default(),
             host_table: host.shared_table(),
             host,
             hub,

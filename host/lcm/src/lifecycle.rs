@@ -90,7 +90,7 @@ fn too_late(stands: State) -> EntryError {
 
 pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
     instance.refuse_queued(NOT_ACTIVE);
-    instance.stats.reset(instance.period_ns());
+    instance.books.steps.reset(instance.period_ns());
     let inner = entered.inner();
     inner.cycle_at_start = inner.cycle;
     inner.on_trial = CALLS_ON_TRIAL;

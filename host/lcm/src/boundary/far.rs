@@ -20,7 +20,7 @@ use trocar_rt::wake::Waker;
 
 use super::super::books::Misuse;
 use super::super::context;
-use super::super::gate::Standing;
+use super::super::gate::Presence;
 use super::entry::ERR_BYTES;
 use super::here::OwnRead;
 use super::inside::misused;
@@ -99,10 +99,10 @@ impl Destination for FarServer {
         if self.lost.load(Ordering::SeqCst) {
             return Some(PEER_LOST);
         }
-        match Standing::of(self.standing.get()) {
-            Standing::Active => None,
-            Standing::NotActive => Some(NOT_ACTIVE),
-            Standing::Gone => Some(PEER_LOST),
+        match Presence::of(self.standing.get()) {
+            Presence::Active => None,
+            Presence::NotActive => Some(NOT_ACTIVE),
+            Presence::Gone => Some(PEER_LOST),
         }
     }
 }

@@ -3,7 +3,7 @@
 //! Invariant: every entry that carries a reply is answered once; component code runs only for the holder of
 //! the entry lock.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use trocar_plugin_api::abi::{DEADLINE, DISABLED, EXECUTED, INVALID_ARGUMENT, Outcome, PEER_LOST};
 use trocar_rt::mailbox::EntryHead;
@@ -51,21 +51,18 @@ fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> O
 impl Core {
     /// Changes the list of queues; managers only.
     pub(crate) fn edit_inboxes(&self, f: impl FnOnce(&mut Vec<Arc<Inbox>>)) {
-        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut inboxes = self.inboxes.enter().clone();
-        f(&mut inboxes);
-        self.inboxes.swap(Box::new(inboxes));
+        self.peers.edit_inboxes(f);
     }
 
     /// All queues into the component.
     pub(crate) fn queues(&self) -> Vec<Arc<Inbox>> {
-        self.inboxes.enter().clone()
+        self.peers.inboxes.enter().clone()
     }
 
     /// Commands and events lost in full queues, including those of connections that are gone.
     pub(crate) fn queue_losses(&self) -> [u64; 2] {
         let mut lost = self.books.lost_before();
-        for inbox in self.inboxes.enter().iter() {
+        for inbox in self.peers.inboxes.enter().iter() {
             lost[usize::from(inbox.events)] += inbox.lost();
         }
         lost
@@ -76,7 +73,7 @@ impl Core {
         // A call is queued, marked, and then checks once more whether it is allowed: either it is found here
         // or it sees why not.
         self.signalled.meet();
-        let inboxes = self.inboxes.enter();
+        let inboxes = self.peers.inboxes.enter();
         inboxes.iter().for_each(|inbox| inbox.refuse_all(outcome));
         // Entries behind one that was just in hand here may have been left by the component's own thread: see
         // `throw_out`.
@@ -89,7 +86,7 @@ impl Core {
 
     /// Runs the queued entries: those already there, plus once those that arrived meanwhile. Real-time.
     pub(crate) fn drain(&self, entered: &mut Entered<'_>) {
-        self.inboxes.look(|inboxes| self.drain_all(entered, inboxes));
+        self.peers.inboxes.look(|inboxes| self.drain_all(entered, inboxes));
     }
 
     fn drain_all(&self, entered: &mut Entered<'_>, inboxes: &[Arc<Inbox>]) {

@@ -109,7 +109,7 @@ impl Core {
     }
 
     fn statistics(&self) -> system::Statistics {
-        let s = self.stats.snapshot();
+        let s = self.books.steps.snapshot();
         let seconds = |ns: f64| ns * 1e-9;
         system::Statistics {
             stamp_ns: os::now_ns(),
@@ -139,33 +139,33 @@ impl Core {
 
     /// Changes the views for clients in other processes; managers only.
     pub(crate) fn edit_views(&self, f: impl FnOnce(&mut Vec<Arc<dyn View<Core>>>)) {
-        self.views.edit(f);
+        self.peers.views.edit(f);
     }
 
     /// Its rows as other processes see them, if they are shown. Managers only.
     pub(crate) fn shown_rows(&self) -> Option<Arc<ShownRows>> {
-        self.views.rows()
+        self.peers.views.rows()
     }
 
     /// Shows other processes its state, after that has changed.
     pub(crate) fn show_standing(&self) {
-        self.views.show(|view| view.show_standing(self));
+        self.peers.views.show(|view| view.show_standing(self));
     }
 
     /// Shows other processes the newest row, or the results of its reads. Real-time.
     #[inline]
     pub(crate) fn show_row(&self) {
-        self.views.show_row(&self.rows, self);
+        self.peers.views.show_row(&self.rows, self);
     }
 
     /// Shows other processes its statistics. Watchdog only.
     pub(crate) fn show_figures(&self) {
-        self.views.show(|view| view.show_figures(self));
+        self.peers.views.show(|view| view.show_figures(self));
     }
 
     /// Shows other processes the positions of its reads, after they have changed.
     pub(crate) fn show_positions(&self) {
-        self.views.show(|view| view.show_positions());
+        self.peers.views.show(|view| view.show_positions());
     }
 }
 

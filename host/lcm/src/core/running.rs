@@ -140,7 +140,7 @@ impl Core {
         let end_ns = os::now_ns();
         self.publish_row(&mut entered, end_ns);
         let begin_ns = entered.inner().last_begin_ns;
-        self.stats.record(begin_ns, end_ns, 0);
+        self.books.steps.record(begin_ns, end_ns, 0);
         self.watch.leave(outer.watched);
         self.pay_safe(&mut entered);
         drop(entered);

@@ -1,4 +1,4 @@
-//! How a component is told that data or calls wait for it.
+//! How a component is told that data or calls wait for it, and its watchdog that a peer came or went.
 //!
 //! Invariant: a mark that was set is seen by its thread before that rests; a thread that polls is not woken.
 
@@ -9,6 +9,7 @@ use trocar_model::Wake;
 use trocar_rt::wake::Waker;
 
 use super::super::context::{self, ExecutorId};
+use super::super::loss::Loss;
 use super::Core;
 
 impl Core {
@@ -140,5 +141,22 @@ impl Core {
     /// Leaves the mark for the thread inside; true when no thread is inside any more.
     pub(crate) fn leave_mark(&self) -> bool {
         self.signalled.leave(|| self.object.is_free())
+    }
+
+    /// Notes that a required port has a connection, again or for the first time.
+    pub(crate) fn connected(&self, port: &str) {
+        self.peers.connected(port);
+        self.watchdog.notify();
+    }
+
+    /// Notes that a required port lost its connection.
+    pub(crate) fn disconnected(&self, port: &str, how: Loss) {
+        self.peers.disconnected(port, how);
+        self.watchdog.notify();
+    }
+
+    /// Required ports that lost their connection, and the time from which each counts as lost, ns.
+    pub(crate) fn missing(&self) -> Vec<(String, u64)> {
+        self.peers.missing()
     }
 }

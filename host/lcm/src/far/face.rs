@@ -100,9 +100,9 @@ impl View<Core> for Face {
     /// to come shows the last change.
     fn show_standing(&self, server: &Core) {
         loop {
-            let now = server.standing();
+            let now = server.presence();
             self.standing.set(now as u64);
-            if server.standing() == now {
+            if server.presence() == now {
                 break;
             }
         }

@@ -3,9 +3,7 @@
 //! Invariant: every change of state or health is reported once, as news to the managers and as an event to
 //! components; GetState is answered from a published row, so that a request costs a step nothing but a copy.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError};
 
 use trocar_loader::system;
 use trocar_model::{ComponentId, Health, State};
@@ -13,14 +11,8 @@ use trocar_rt::os;
 
 use super::super::boundary::EntryError;
 use super::super::inbox::Party;
-use super::super::loss::Loss;
-use super::super::realtime::Settings;
-use super::super::supervise::Moment;
 use super::super::{News, Report, context};
 use super::Instance;
-
-/// Most warnings kept of one component; the oldest gives way.
-const WARNINGS: usize = 16;
 
 impl Instance {
     /// Sets state and fault text, and reports the change.
@@ -32,7 +24,7 @@ impl Instance {
     /// Sets state and fault text without a report; returns the former ones, for [`Instance::tell_change`].
     pub(crate) fn shut(&self, state: State, fault: &str) -> (State, String) {
         // State and reason change together: the second of two threads writes both.
-        let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut text = self.standing.fault();
         let before = self.set_gate(state);
         self.show_standing();
         (before, std::mem::replace(&mut *text, fault.to_owned()))
@@ -45,7 +37,7 @@ impl Instance {
             return;
         }
         self.publish_status();
-        if *self.fault.lock().unwrap_or_else(PoisonError::into_inner) != fault {
+        if *self.standing.fault() != fault {
             self.tell_managers();
         }
     }
@@ -58,7 +50,7 @@ impl Instance {
         self.message(system::ERROR, &text);
         self.keep_warning(&text);
         if self.is_actuator() || e.panicked() {
-            let before = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let before = self.standing.fault().clone();
             let both = if before.is_empty() { text } else { format!("{before}; {text}") };
             self.set_state(State::Fault, &both);
         } else {
@@ -68,7 +60,7 @@ impl Instance {
 
     /// Sets the state if it is still `from`; reports the change and returns true if it was.
     pub(crate) fn set_state_from(&self, from: State, state: State, fault: &str) -> bool {
-        let mut text = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut text = self.standing.fault();
         if !self.set_gate_from(from, state) {
             return false;
         }
@@ -103,7 +95,7 @@ impl Instance {
             number,
             state: self.state(),
             health: self.watch.health(),
-            fault: self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            fault: self.standing.fault().clone(),
             ports: with_ports.then(|| self.ports()),
             lost_connections: Vec::new(),
             warnings,
@@ -127,15 +119,7 @@ impl Instance {
 
     /// Keeps a sentence that is shown with the state from now on; true when it is new.
     pub(crate) fn keep_warning(&self, text: &str) -> bool {
-        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
-        if warnings.iter().any(|w| w == text) {
-            return false;
-        }
-        if warnings.len() == WARNINGS {
-            warnings.remove(0);
-        }
-        warnings.push(text.to_owned());
-        true
+        self.standing.keep(text)
     }
 
     /// Reports a sentence about the component everywhere: log, `warning` event, with its state.
@@ -149,78 +133,19 @@ impl Instance {
 
     /// As [`Instance::warn`] for repeated causes: only the newest sentence about each one is kept.
     pub(crate) fn warn_about(&self, about: &str, how: &str) {
-        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
-        warnings.retain(|w| !w.starts_with(about));
-        drop(warnings);
+        self.standing.forget(about);
         self.warn(&format!("{about}{how}"));
     }
 
     pub(crate) fn warnings(&self) -> Vec<String> {
-        // Read each time: helping threads may still be settling.
-        let of_thread = self.settings.get().map_or_else(Vec::new, |settings| settings.warnings());
-        let own = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
-        of_thread.into_iter().chain(own.iter().cloned()).collect()
-    }
-
-    /// Sets the settings of its thread; once.
-    pub(crate) fn set_thread(&self, settings: Arc<Settings>) {
-        let _ = self.settings.set(settings);
+        let mut all = self.threads.warnings();
+        all.extend(self.standing.warnings());
+        all
     }
 
     /// Forgets the warnings about an instance that is no more.
     pub(crate) fn clear_warnings(&self) {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clear();
-    }
-
-    /// Notes threads, with their names, that appeared during one of its entries; `lasts`: they may live until
-    /// `destroy`.
-    pub(crate) fn note_brood(&self, threads: impl Iterator<Item = (i32, String)>, lasts: bool) {
-        let threads = threads.map(|(tid, name)| (tid, (name, lasts)));
-        self.brood.lock().unwrap_or_else(PoisonError::into_inner).extend(threads);
-    }
-
-    pub(crate) fn brood(&self) -> BTreeMap<i32, String> {
-        let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
-        brood.iter().map(|(tid, (name, _))| (*tid, name.clone())).collect()
-    }
-
-    /// Tells whether this is a thread of its own that may live until `destroy`.
-    pub(crate) fn lasts(&self, tid: i32) -> bool {
-        let brood = self.brood.lock().unwrap_or_else(PoisonError::into_inner);
-        brood.get(&tid).is_some_and(|(_, lasts)| *lasts)
-    }
-
-    /// Sets the moment before its code first ran: threads from before cannot be its own. Only the first call
-    /// counts.
-    pub(crate) fn set_made(&self, before: Moment) {
-        self.made.get_or_init(|| before);
-    }
-
-    /// The moment before its code first ran.
-    pub(crate) fn made(&self) -> Option<Moment> {
-        self.made.get().copied()
-    }
-
-    /// Notes that a required port has a connection, again or for the first time.
-    pub(crate) fn connected(&self, port: &str) {
-        self.missing.lock().unwrap_or_else(PoisonError::into_inner).remove(port);
-        self.hub.watch.notify();
-    }
-
-    /// Notes that a required port lost its connection.
-    pub(crate) fn disconnected(&self, port: &str, how: Loss) {
-        let lost_ns = os::now_ns().saturating_add(how.spared_ns());
-        let mut ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
-        let missing = ports.entry(port.to_owned()).or_insert(lost_ns);
-        *missing = lost_ns.min(*missing);
-        drop(ports);
-        self.hub.watch.notify();
-    }
-
-    /// Required ports that lost their connection, and the time from which each counts as lost, ns.
-    pub(crate) fn missing(&self) -> Vec<(String, u64)> {
-        let ports = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
-        ports.iter().map(|(port, lost_ns)| (port.clone(), *lost_ns)).collect()
+        self.standing.forget("");
     }
 
     /// Emits `status`, `warning` or `error` of the system interface.
@@ -240,9 +165,9 @@ impl Instance {
     /// Publishes the present state.
     pub(super) fn publish_status(&self) {
         let mut row = [0u8; system::MAX_BYTES];
-        let mut writer = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut writer = self.standing.status();
         // Read under the lock: the last thread to publish has the newest values.
-        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let fault = self.standing.fault();
         let (state, health) = (self.state().to_string(), self.watch.health().to_string());
         let stamp_ns = os::now_ns();
         system::write_status(stamp_ns, &state, &health, &fault, &mut row);

@@ -135,7 +135,7 @@ impl LocalLcm {
     /// # Errors
     /// This LCM was closed meanwhile.
     fn take_in(&self, id: ComponentId, slot: &Slot) -> Result<Report, Refusal> {
-        slot.instance.set_thread(slot.executor.settings.clone());
+        slot.instance.threads.set_settings(slot.executor.settings.clone());
         self.lock_pools(&slot.instance);
         let report = slot.instance.report(true);
         let mut held = self.held();

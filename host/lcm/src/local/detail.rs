@@ -13,7 +13,7 @@ fn note(slot: &Slot) -> Option<String> {
 
 /// `around`: whether the component it runs inside of, if any, is ACTIVE.
 pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
-    let s = slot.instance.stats.snapshot();
+    let s = slot.instance.books.steps.snapshot();
     let spread = |m: trocar_rt::timing::Spread| Spread {
         avg_ns: m.avg_ns,
         std_ns: m.std_ns,

@@ -44,7 +44,7 @@ impl Slot {
     }
 
     fn step_ns(&self) -> Option<u64> {
-        let stats = self.instance.stats.snapshot();
+        let stats = self.instance.books.steps.snapshot();
         let compute = stats.compute;
         let most_ns = compute.avg_ns + DEVIATIONS * compute.std_ns;
         let step_ns = most_ns.min(TIMES * compute.avg_ns).ceil() as u64;

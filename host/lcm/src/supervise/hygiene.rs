@@ -125,10 +125,10 @@ impl Manners {
             }
         }
         if let Some(before) = self.threads {
-            instance.set_made(before);
+            instance.threads.set_made(before);
             if !before.is_still_so() {
                 let seen = Strangers::look();
-                instance.note_brood(seen.since(before).map(|t| (t.tid, t.name.clone())), lasts);
+                instance.threads.note(seen.since(before).map(|t| (t.tid, t.name.clone())), lasts);
             }
         }
         if let Some((now, home)) = whereabouts()

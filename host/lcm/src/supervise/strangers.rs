@@ -62,12 +62,12 @@ impl Strangers {
     /// Tells whether a thread that `stop` should have ended still runs, as far as known: threads started by
     /// `create` or `configure` may be for `destroy` to end.
     pub(crate) fn outlast_stop(&self, ward: &Ward) -> bool {
-        self.of(ward).any(|thread| !ward.instance.lasts(thread.tid))
+        self.of(ward).any(|thread| !ward.instance.threads.lasts(thread.tid))
     }
 
     fn of(&self, ward: &Ward) -> impl Iterator<Item = &Stranger> {
         let (own, executor) = (ward.executor.name.as_str(), ward.executor.tid());
-        let (noted, made) = (ward.instance.brood(), ward.instance.made());
+        let (noted, made) = (ward.instance.threads.noted(), ward.instance.threads.made());
         let is_own = move |thread: &Stranger| {
             // A thread without a name of its own belongs to the component whose name it has.
             let born = noted.get(&thread.tid) == Some(&thread.name) && !self.executors.contains(&thread.name);

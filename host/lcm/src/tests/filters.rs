@@ -134,7 +134,7 @@ async fn a_head_that_failed_lets_pass_what_comes_for_it_on_any_grid() {
 
 /// Cycles executed and left out, by an instance's own statistics.
 pub(super) fn counted(instance: &Instance) -> (u64, u64) {
-    let stats = instance.stats.snapshot();
+    let stats = instance.books.steps.snapshot();
     (stats.executed, stats.skipped)
 }
 
