@@ -3,7 +3,7 @@
 //! Invariant: an instance is entered by one thread at a time and never re-entered: every call goes through
 //! [`Entered`], which exists only while the entry lock is held.
 
-use std::cell::UnsafeCell;
+use std::cell::{Cell, UnsafeCell};
 use std::ffi::c_void;
 use std::fmt;
 use std::ptr;
@@ -129,10 +129,20 @@ unsafe impl<T: Send> Send for Object<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Object<T> {}
 
-/// Non-zero, unique for each living thread.
+/// Number of the next thread that enters an instance; never used twice, as an address would be.
+static NEXT_THREAD: AtomicU64 = AtomicU64::new(1);
+
+/// Number of this thread: a thread that ended inside is never taken for one that came after it.
+#[inline]
 fn thread_token() -> u64 {
-    thread_local!(static TOKEN: u8 = const { 0 });
-    TOKEN.with(|t| ptr::from_ref(t) as u64)
+    thread_local!(static TOKEN: Cell<u64> = const { Cell::new(0) });
+    match TOKEN.get() {
+        0 => {
+            TOKEN.set(NEXT_THREAD.fetch_add(1, Ordering::Relaxed));
+            TOKEN.get()
+        }
+        token => token,
+    }
 }
 
 impl<T: Send> Object<T> {
@@ -505,5 +515,21 @@ unsafe extern "C" fn add_piece(ctx: *mut c_void, piece: Bytes) {
     } else if !piece.ptr.is_null() {
         // SAFETY: the plugin lends `len` bytes for the call.
         text.bytes.extend_from_slice(unsafe { std::slice::from_raw_parts(piece.ptr, piece.len) });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::thread_token;
+
+    #[test]
+    fn threads_that_come_one_after_the_other_have_numbers_of_their_own() {
+        let numbers: BTreeSet<_> =
+            (0..8).map(|_| std::thread::spawn(thread_token).join().expect("a number")).collect();
+        assert_eq!(numbers.len(), 8);
+        assert!(!numbers.contains(&0), "no thread");
+        assert_eq!(thread_token(), thread_token());
     }
 }
