@@ -223,6 +223,11 @@ impl Asker for Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
+        // Its thread broke down before it was ended: a peer may still be inside, through its core.
+        if self.object.is_made() {
+            let used = Arc::new((self.host_table.clone(), self.described.all_slots()));
+            self.hub.retire(self.number, &self.id, used, "its instance was never destroyed");
+        }
         // While a cycle may look there, the follower of ports is woken.
         if self.remains.take(&self.host, self.host_table.clone(), self.described.all_slots()) {
             self.hub.ports.notify();

@@ -229,6 +229,11 @@ impl<T: Send> Object<T> {
         }
     }
 
+    /// Tells whether there is an instance.
+    pub(crate) fn is_made(&self) -> bool {
+        !self.this.load(Ordering::SeqCst).is_null()
+    }
+
     /// Tells whether no thread is inside now.
     pub(crate) fn is_free(&self) -> bool {
         self.lock.load(Ordering::Acquire) == FREE
