@@ -12,7 +12,7 @@ use crate::cli::view::{
     RequiredView, StreamView, TypeView,
 };
 
-pub(in crate::cli) fn description(path: &str, d: &v1::DescribeResponse) -> DescribeView {
+pub(crate) fn description(path: &str, d: &v1::DescribeResponse) -> DescribeView {
     DescribeView {
         path: path.to_owned(),
         process: d.process.as_ref().map(process),

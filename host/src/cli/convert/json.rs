@@ -8,7 +8,7 @@ use serde_json::{Map, Number, Value};
 /// Largest whole number a double holds exactly.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
-pub(in crate::cli) fn from_wire(value: &Wire) -> Value {
+pub(crate) fn from_wire(value: &Wire) -> Value {
     match &value.kind {
         None | Some(Kind::NullValue(_)) => Value::Null,
         Some(Kind::BoolValue(b)) => Value::Bool(*b),
@@ -22,12 +22,12 @@ pub(in crate::cli) fn from_wire(value: &Wire) -> Value {
     }
 }
 
-pub(in crate::cli) fn from_struct(fields: &Struct) -> Value {
+pub(crate) fn from_struct(fields: &Struct) -> Value {
     Value::Object(fields.fields.iter().map(|(k, v)| (k.clone(), from_wire(v))).collect::<Map<_, _>>())
 }
 
 /// Whole numbers a double cannot hold travel as strings, as the API says.
-pub(in crate::cli) fn to_wire(value: &Value) -> Wire {
+pub(crate) fn to_wire(value: &Value) -> Wire {
     let kind = match value {
         Value::Null => Kind::NullValue(0),
         Value::Bool(b) => Kind::BoolValue(*b),
@@ -43,7 +43,7 @@ pub(in crate::cli) fn to_wire(value: &Value) -> Wire {
 }
 
 /// The fields of an object; anything else has none.
-pub(in crate::cli) fn to_struct(value: &Value) -> Struct {
+pub(crate) fn to_struct(value: &Value) -> Struct {
     let fields = value.as_object().into_iter().flatten().map(|(k, v)| (k.clone(), to_wire(v)));
     Struct { fields: fields.collect() }
 }

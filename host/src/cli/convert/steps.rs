@@ -7,7 +7,7 @@ use trocar_proto::v1::step::Step as S;
 use super::{duration, to_struct};
 use crate::gcm::{Apart, Fate, Supervisor, Told, Wanted};
 
-pub(in crate::cli) fn step(request: &Request) -> v1::Step {
+pub(crate) fn step(request: &Request) -> v1::Step {
     let step = match request {
         Request::Create { id, class, config, execution } => S::Create(v1::CreateRequest {
             path: id.to_string(),
@@ -115,7 +115,7 @@ fn options(o: &ConnectOptions) -> v1::ConnectOptions {
 }
 
 /// Converts the status of a process for the GCM.
-pub(in crate::cli) fn fate(told: &Told) -> v1::ProcessFate {
+pub(crate) fn fate(told: &Told) -> v1::ProcessFate {
     let fate = match told.fate {
         Fate::Running => v1::Fate::Running,
         Fate::Restarting => v1::Fate::Restarting,
@@ -133,7 +133,7 @@ pub(in crate::cli) fn fate(told: &Told) -> v1::ProcessFate {
 }
 
 /// Converts what a supervisor reports about itself.
-pub(in crate::cli) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
+pub(crate) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
     let apart = |a: &Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseRequest {
         processes: who.processes.iter().map(ToString::to_string).collect(),
@@ -143,7 +143,7 @@ pub(in crate::cli) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
 }
 
 /// Reads what a GCM wants of its supervisor, with the term of that GCM.
-pub(in crate::cli) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
+pub(crate) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
     let one = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
     };

@@ -20,7 +20,7 @@ const NAME: usize = 1024;
 
 /// One value of a row.
 #[derive(Clone, Debug, PartialEq)]
-pub(in crate::cli) enum Cell {
+pub(super) enum Cell {
     Float(f64),
     Whole(i64),
     Large(u64),

@@ -24,7 +24,7 @@ use crate::cli::{out, units};
 /// Writes topics of a recording as tables or pictures: `trocar export trial.mcap --csv`.
 #[derive(Args, Debug)]
 #[command(group(clap::ArgGroup::new("kind").required(true).args(["csv", "npz", "png"])))]
-pub(in crate::cli) struct ExportArgs {
+pub(crate) struct ExportArgs {
     /// The recording.
     file: PathBuf,
     /// One CSV file per topic.
@@ -52,7 +52,7 @@ pub(in crate::cli) struct ExportArgs {
     output: Option<PathBuf>,
 }
 
-pub(in crate::cli) fn run(args: ExportArgs, session: &Session) -> Done {
+pub(crate) fn run(args: ExportArgs, session: &Session) -> Done {
     if let (Some(from), Some(to)) = (args.from, args.to)
         && from >= to
     {

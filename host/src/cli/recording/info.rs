@@ -24,7 +24,7 @@ const RATE_S: f64 = 0.01;
 
 /// Shows what is in a recording: topics, rates, types, what was lost: `trocar info trial.mcap`.
 #[derive(Args, Debug)]
-pub(in crate::cli) struct InfoArgs {
+pub(crate) struct InfoArgs {
     /// The recording.
     file: PathBuf,
 }
@@ -132,7 +132,7 @@ impl Takes for Counting {
     }
 }
 
-pub(in crate::cli) fn run(args: &InfoArgs, session: &Session) -> Done {
+pub(crate) fn run(args: &InfoArgs, session: &Session) -> Done {
     let bar = super::reading_bar(&args.file, session.json());
     let view = look(&args.file, &bar);
     bar.finish_and_clear();

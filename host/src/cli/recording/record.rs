@@ -58,7 +58,7 @@ Ctrl-C ends it, with a whole file. A pattern is process/component/output; * stan
 /// Records outputs to an MCAP file: `trocar record 'host/**' -o trial.mcap`.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
-pub(in crate::cli) struct RecordArgs {
+pub(crate) struct RecordArgs {
     /// What is recorded: outputs, components, processes, or globs of them.
     #[arg(value_name = "PATTERN", required = true)]
     patterns: Vec<String>,
@@ -106,7 +106,7 @@ struct RecordedView {
     silent: Vec<String>,
 }
 
-pub(in crate::cli) async fn run(args: RecordArgs, session: &Session) -> Done {
+pub(crate) async fn run(args: RecordArgs, session: &Session) -> Done {
     let place = place(&args)?;
     let there = session.sources(CLASS).await?;
     let wanted = chosen(&args.patterns, &there)?;

@@ -16,7 +16,7 @@ use crate::cli::mutation::{Left, MutationArgs, Outcome, Standing};
 use crate::cli::states::Verb;
 
 impl Session {
-    pub(in crate::cli) async fn create(&self, args: &CreateArgs) -> Result<Outcome, Failure> {
+    pub(crate) async fn create(&self, args: &CreateArgs) -> Result<Outcome, Failure> {
         let ask = v1::CreateRequest {
             path: args.path.clone(),
             class: args.class.clone(),
@@ -32,7 +32,7 @@ impl Session {
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
     }
 
-    pub(in crate::cli) async fn configure(&self, args: &ConfigureArgs) -> Result<Outcome, Failure> {
+    pub(crate) async fn configure(&self, args: &ConfigureArgs) -> Result<Outcome, Failure> {
         let ask = v1::ConfigureRequest {
             path: args.path.clone(),
             config: args.config.as_ref().map(convert::to_struct),
@@ -46,7 +46,7 @@ impl Session {
         Ok(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings))
     }
 
-    pub(in crate::cli) async fn verb(
+    pub(crate) async fn verb(
         &self,
         verb: Verb,
         paths: &[String],
@@ -75,7 +75,7 @@ impl Session {
     }
 
     /// Removes all of them, or none.
-    pub(in crate::cli) async fn remove(
+    pub(crate) async fn remove(
         &self,
         paths: &[String],
         force: bool,
@@ -92,11 +92,7 @@ impl Session {
     }
 
     /// Takes all of these processes off the list, or none.
-    pub(in crate::cli) async fn forget(
-        &self,
-        processes: &[String],
-        m: &MutationArgs,
-    ) -> Result<Outcome, Failure> {
+    pub(crate) async fn forget(&self, processes: &[String], m: &MutationArgs) -> Result<Outcome, Failure> {
         let one = |process: &String| v1::Step {
             step: Some(v1::step::Step::Forget(v1::ForgetRequest {
                 process: process.clone(),
@@ -119,18 +115,14 @@ impl Session {
     }
 
     /// Waits until it is there again; answers the revision then, and its incarnation.
-    pub(in crate::cli) async fn restart(
-        &self,
-        process: &str,
-        within: Duration,
-    ) -> Result<(u64, u64), Failure> {
+    pub(crate) async fn restart(&self, process: &str, within: Duration) -> Result<(u64, u64), Failure> {
         let mut ask = tonic::Request::new(v1::RestartRequest { process: process.to_owned() });
         ask.set_timeout(within);
         let a = self.client().await?.gcm.restart(ask).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok((a.revision, a.epoch))
     }
 
-    pub(in crate::cli) async fn connect(&self, args: &ConnectArgs) -> Result<Outcome, Failure> {
+    pub(crate) async fn connect(&self, args: &ConnectArgs) -> Result<Outcome, Failure> {
         let queue = match (args.fifo, args.latest) {
             (Some(fifo), _) => Some(v1::Queue { fifo, drop_oldest: args.drop_oldest }),
             (None, true) => Some(v1::Queue { fifo: 0, drop_oldest: false }),
@@ -160,7 +152,7 @@ impl Session {
         Ok(Outcome { connection, ..outcome(a.revision, a.plan, a.components, a.skipped, a.warnings) })
     }
 
-    pub(in crate::cli) async fn disconnect(&self, cut: &Cut, m: &MutationArgs) -> Result<Outcome, Failure> {
+    pub(crate) async fn disconnect(&self, cut: &Cut, m: &MutationArgs) -> Result<Outcome, Failure> {
         let (id, client, server) = match cut {
             Cut::Id(id) => (*id, String::new(), String::new()),
             Cut::Pair { client, server } => (0, client.clone(), server.clone()),

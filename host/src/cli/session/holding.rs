@@ -19,14 +19,14 @@ use crate::control::Tokened;
 const AGAIN: Duration = Duration::from_millis(200);
 
 /// Holds until it is dropped; nothing where the manager knows no Hold.
-pub(in crate::cli) struct Holding(Option<Staying>);
+pub(crate) struct Holding(Option<Staying>);
 
 /// The task that holds, and whether a manager knows of it now.
 struct Staying(JoinHandle<()>, watch::Receiver<bool>);
 
 impl Holding {
     /// Waits until the manager knows of it, until then at most; whether it does.
-    pub(in crate::cli) async fn stands(&self, until: Instant) -> bool {
+    pub(crate) async fn stands(&self, until: Instant) -> bool {
         let Some(Staying(_, known)) = &self.0 else { return true };
         // Nobody tells any more where there is nothing to be held.
         tokio::time::timeout_at(until, known.clone().wait_for(|known| *known)).await.is_ok()
@@ -44,7 +44,7 @@ impl Drop for Holding {
 impl Session {
     /// Ties a component, which is created after this, to the life of this program. A manager that knows no
     /// Hold leaves it without.
-    pub(in crate::cli) async fn hold(&self, path: &str) -> Result<Holding, Failure> {
+    pub(crate) async fn hold(&self, path: &str) -> Result<Holding, Failure> {
         let mut guest = self.client().await?.guest;
         let first = match hold(&mut guest, path).await {
             Ok(first) => first,

@@ -10,26 +10,26 @@ use crate::cli::failure::Failure;
 
 /// Something that can be recorded.
 #[derive(Clone, Debug, PartialEq)]
-pub(in crate::cli) struct Source {
+pub(crate) struct Source {
     /// process/component/output.
-    pub(in crate::cli) path: String,
+    pub(crate) path: String,
     /// True: the output gives frames.
-    pub(in crate::cli) frames: bool,
+    pub(crate) frames: bool,
     /// Bytes of a sample, or of the header of a frame.
-    pub(in crate::cli) size: u32,
+    pub(crate) size: u32,
 }
 
 /// A system, as far as a recording needs to know it.
 #[derive(Clone, Debug, Default)]
-pub(in crate::cli) struct Sources {
-    pub(in crate::cli) all: Vec<Source>,
+pub(crate) struct Sources {
+    pub(crate) all: Vec<Source>,
     /// Processes with a class that records, and its name there.
-    pub(in crate::cli) recorders: Vec<String>,
+    pub(crate) recorders: Vec<String>,
 }
 
 impl Session {
     /// Every output of every component.
-    pub(in crate::cli) async fn sources(&self, class: &str) -> Result<Sources, Failure> {
+    pub(crate) async fn sources(&self, class: &str) -> Result<Sources, Failure> {
         let mut gcm = self.client().await?.gcm;
         let ask = v1::ListRequest { brief: true, ..v1::ListRequest::default() };
         let there = gcm.list(ask).await.map_err(|s| self.failed(&s))?.into_inner();

@@ -17,16 +17,12 @@ use crate::gcm::{Supervisor, Told, Wanted};
 
 impl Session {
     /// Carries out all requests as one change.
-    pub(in crate::cli) async fn apply(
-        &self,
-        requests: &[Request],
-        within: Duration,
-    ) -> Result<Outcome, Failure> {
+    pub(crate) async fn apply(&self, requests: &[Request], within: Duration) -> Result<Outcome, Failure> {
         self.apply_at(requests, within, None).await
     }
 
     /// The same, refused with REVISION_CONFLICT when the system has changed since that revision.
-    pub(in crate::cli) async fn apply_at(
+    pub(crate) async fn apply_at(
         &self,
         requests: &[Request],
         within: Duration,
@@ -44,7 +40,7 @@ impl Session {
     }
 
     /// Makes the system what the text of a system file says.
-    pub(in crate::cli) async fn apply_system(
+    pub(crate) async fn apply_system(
         &self,
         system: &str,
         prune: bool,
@@ -63,26 +59,26 @@ impl Session {
     }
 
     /// Compares the system with what the text of a system file says.
-    pub(in crate::cli) async fn compare(&self, system: &str) -> Result<v1::CompareResponse, Failure> {
+    pub(crate) async fn compare(&self, system: &str) -> Result<v1::CompareResponse, Failure> {
         let ask = v1::CompareRequest { system: system.to_owned() };
         let answer = self.client().await?.gcm.compare(ask).await.map_err(|s| self.failed(&s))?;
         Ok(answer.into_inner())
     }
 
     /// The system as the text of a file that lies in a directory.
-    pub(in crate::cli) async fn save(&self, folder: &Path) -> Result<v1::SaveResponse, Failure> {
+    pub(crate) async fn save(&self, folder: &Path) -> Result<v1::SaveResponse, Failure> {
         let ask = v1::SaveRequest { folder: folder.to_string_lossy().into_owned() };
         let answer = self.client().await?.gcm.save(ask).await.map_err(|s| self.failed(&s))?;
         Ok(answer.into_inner())
     }
 
     /// Returns the state of the system from the GCM alone: soon answered, without live figures.
-    pub(in crate::cli) async fn standing(&self) -> Result<SystemView, Failure> {
+    pub(crate) async fn standing(&self) -> Result<SystemView, Failure> {
         self.looked(true, Duration::from_secs(5)).await
     }
 
     /// Returns the state of the system, with live figures of all processes that give some.
-    pub(in crate::cli) async fn figures(&self) -> Result<SystemView, Failure> {
+    pub(crate) async fn figures(&self) -> Result<SystemView, Failure> {
         self.looked(false, Duration::from_secs(10)).await
     }
 
@@ -94,11 +90,7 @@ impl Session {
     }
 
     /// Stops what matches one of these, in order; where nothing does, nothing has to be stopped.
-    pub(in crate::cli) async fn stop_all_of(
-        &self,
-        paths: Vec<String>,
-        within: Duration,
-    ) -> Result<(), Failure> {
+    pub(crate) async fn stop_all_of(&self, paths: Vec<String>, within: Duration) -> Result<(), Failure> {
         let mut ask = tonic::Request::new(v1::StopRequest { paths, ..v1::StopRequest::default() });
         ask.set_timeout(within);
         match self.stopping().await?.gcm.stop(ask).await {
@@ -110,7 +102,7 @@ impl Session {
 
     /// Follows which processes are wanted for isolated components, now and later, with the
     /// incarnation of the GCM.
-    pub(in crate::cli) async fn supervise(
+    pub(crate) async fn supervise(
         &self,
         who: &Supervisor,
     ) -> Result<Follow<'_, v1::SuperviseResponse, Result<(u64, Wanted), Refusal>>, Failure> {
@@ -121,7 +113,7 @@ impl Session {
     }
 
     /// Tells the GCM how processes stand.
-    pub(in crate::cli) async fn tell(&self, all: &[Told]) -> Result<(), Failure> {
+    pub(crate) async fn tell(&self, all: &[Told]) -> Result<(), Failure> {
         let processes = all.iter().map(convert::fate).collect();
         let mut ask = tonic::Request::new(v1::TellRequest { processes });
         ask.set_timeout(Duration::from_secs(2));

@@ -12,7 +12,7 @@ use crate::cli::{style, units};
 
 /// Sort order of rows: the largest first, paths from a to z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum Sort {
+pub(super) enum Sort {
     /// By path; connections by number.
     Path,
     /// Failures first: rows that do not run or are not well.
@@ -42,10 +42,10 @@ impl Sort {
 
 /// Object that `--json` prints in each interval.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(in crate::cli) struct Figures {
+pub(crate) struct Figures {
     pub(super) revision: u64,
     /// Time over which rates are averaged.
-    pub(in crate::cli) seconds: f64,
+    pub(crate) seconds: f64,
     pub(super) processes: Vec<ProcessRow>,
     pub(super) components: Vec<ComponentRow>,
     pub(super) connections: Vec<ConnectionRow>,
@@ -109,11 +109,11 @@ pub(super) struct ConnectionRow {
 }
 
 /// Returns the increase of a counter; all of it when the counter began anew.
-pub(in crate::cli) fn since(before: u64, now: u64) -> u64 {
+pub(crate) fn since(before: u64, now: u64) -> u64 {
     now.checked_sub(before).unwrap_or(now)
 }
 
-pub(in crate::cli) fn between(before: &SystemView, now: &SystemView, seconds: f64) -> Figures {
+pub(crate) fn between(before: &SystemView, now: &SystemView, seconds: f64) -> Figures {
     let components: Vec<ComponentRow> =
         now.components.iter().map(|c| component(before, now, c, seconds)).collect();
     let processes = now.processes.iter().map(|p| {
@@ -278,12 +278,12 @@ impl Figures {
     }
 
     /// Three tables; those without rows are left out.
-    pub(in crate::cli) fn render(&self, colour: bool) -> String {
+    pub(crate) fn render(&self, colour: bool) -> String {
         self.render_in(usize::MAX, colour)
     }
 
     /// Renders the rows in so many columns; the last ones are left out where they do not fit.
-    pub(in crate::cli) fn render_in(&self, columns: usize, colour: bool) -> String {
+    pub(crate) fn render_in(&self, columns: usize, colour: bool) -> String {
         let parts = [self.process_table(), self.component_table(), self.connection_table()];
         let shown: Vec<String> = parts
             .into_iter()

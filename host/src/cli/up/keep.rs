@@ -25,7 +25,7 @@ type Forever<'a> = Pin<Box<dyn Future<Output = Infallible> + 'a>>;
 
 impl System {
     /// Mends what breaks and tells of it, for ever.
-    pub(in crate::cli) async fn keep(&self, file: &SystemFile, voice: Option<&Voice>) -> Infallible {
+    pub(crate) async fn keep(&self, file: &SystemFile, voice: Option<&Voice>) -> Infallible {
         let Some(session) = &self.session else { return std::future::pending().await };
         let making = tokio::sync::Mutex::new(());
         let tools = Tools { file, session, voice, making: &making };

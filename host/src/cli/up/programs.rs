@@ -46,7 +46,7 @@ fn output(state: &Path, process: Option<&str>) -> PathBuf {
     })
 }
 
-pub(in crate::cli) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program {
+pub(crate) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program {
     let mut args: Vec<OsString> =
         ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into();
     args.extend(port.flags().map(Into::into));
@@ -63,7 +63,7 @@ pub(in crate::cli) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program
 }
 
 /// Maker of programs from the processes of a file.
-pub(in crate::cli) struct Launch {
+pub(crate) struct Launch {
     processes: Vec<ProcessSpec>,
     /// Base of the file's relative paths.
     base: PathBuf,
@@ -74,7 +74,7 @@ pub(in crate::cli) struct Launch {
 
 impl Launch {
     /// Takes the processes of a file that lies at `at`; `plugins` instead of its own, when there are any.
-    pub(in crate::cli) fn new(
+    pub(crate) fn new(
         file: &SystemFile,
         at: &Path,
         plugins: &[PathBuf],

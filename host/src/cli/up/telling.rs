@@ -73,10 +73,10 @@ pub(super) fn keep_told(addr: &str, mut statuses: watch::Receiver<Statuses>) -> 
 }
 
 /// Facts about a system that has come up.
-pub(in crate::cli) struct Up {
+pub(crate) struct Up {
     /// Address of its GCM.
-    pub(in crate::cli) addr: String,
-    pub(in crate::cli) warnings: Vec<String>,
+    pub(crate) addr: String,
+    pub(crate) warnings: Vec<String>,
     pub(super) standing: SystemView,
     /// Components that were not started, since their processes crashed while the system came up.
     pub(super) waiting: BTreeSet<ComponentId>,
@@ -106,7 +106,7 @@ impl Up {
 }
 
 /// Speech of a system. A thread speaks that may wait for a reader for ever, since nobody has to read.
-pub(in crate::cli) struct Voice {
+pub(crate) struct Voice {
     name: String,
     json: bool,
     /// True: nobody reads any more once the system is up.

@@ -47,24 +47,24 @@ const READING: [&str; 18] = [
 
 /// The rule by which callers of a port are let in.
 #[derive(Debug)]
-pub(in crate::control) struct Access {
-    pub(in crate::control) rules: PortRules,
+pub(crate) struct Access {
+    pub(crate) rules: PortRules,
     /// The user whose programs may do everything.
-    pub(in crate::control) user: u32,
+    pub(crate) user: u32,
     /// The directory of that user's token; `None`: no token opens this port.
-    pub(in crate::control) tokens: Option<RuntimeDir>,
+    pub(crate) tokens: Option<RuntimeDir>,
     /// A caller cannot fill the log.
-    pub(in crate::control) refused: Mutex<Seldom>,
+    pub(crate) refused: Mutex<Seldom>,
     /// Places for open requests of callers that only read, all of them together: the host has other callers.
-    pub(in crate::control) readers: Arc<Semaphore>,
+    pub(crate) readers: Arc<Semaphore>,
 }
 
 /// Requests of other users' programs that may be open at once, streams among them.
-pub(in crate::control) const READERS: usize = 64;
+pub(crate) const READERS: usize = 64;
 
 /// The caller may only read; a method that can do both may only read for it. Says why.
 #[derive(Clone, Debug)]
-pub(in crate::control) enum OnlyReads {
+pub(crate) enum OnlyReads {
     /// A page, where pages only read.
     Page,
     /// A program of a user without further rights.
@@ -73,7 +73,7 @@ pub(in crate::control) enum OnlyReads {
 
 impl OnlyReads {
     /// Returns the refusal of `what`, which changes something, to such a caller.
-    pub(in crate::control) fn refusal(&self, what: String) -> Refusal {
+    pub(crate) fn refusal(&self, what: String) -> Refusal {
         match self {
             OnlyReads::Page => Refusal::ReadOnly { what },
             OnlyReads::Caller { who, user } => Refusal::Forbidden { what, caller: who.clone(), user: *user },
@@ -118,11 +118,7 @@ fn is_same(known: &[u8], sent: &[u8]) -> bool {
 }
 
 /// Stands before everything, pages and services: marks requests of a caller that only reads.
-pub(in crate::control) async fn known(
-    State(access): State<Arc<Access>>,
-    mut request: Request,
-    next: Next,
-) -> Response {
+pub(crate) async fn known(State(access): State<Arc<Access>>, mut request: Request, next: Next) -> Response {
     let peer = request.extensions().get::<Peer>();
     if let Some(limit) = access.limit(peer, request.headers(), is_native(&request)) {
         request.extensions_mut().insert(limit);
@@ -132,11 +128,7 @@ pub(in crate::control) async fn known(
 
 /// Stands before the services: refuses such a caller every method that is not listed, whatever the request
 /// says about itself. The services ask neither for a verb nor for a kind of content.
-pub(in crate::control) async fn only_reads(
-    State(access): State<Arc<Access>>,
-    request: Request,
-    next: Next,
-) -> Response {
+pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Request, next: Next) -> Response {
     let asked = request.uri().path();
     match request.extensions().get::<OnlyReads>() {
         Some(limit) if !READING.contains(&asked) => {

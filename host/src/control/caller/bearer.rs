@@ -34,6 +34,6 @@ impl Interceptor for Bearer {
 }
 
 /// Returns `channel` with the token of the environment, if there is one, in each request.
-pub(in crate::control) fn with_token(channel: Channel) -> Tokened {
+pub(crate) fn with_token(channel: Channel) -> Tokened {
     InterceptedService::new(channel, Bearer::from_env())
 }

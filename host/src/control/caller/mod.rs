@@ -22,7 +22,7 @@ pub use self::rules::{PortRules, Viewer};
 
 /// The peer of a connection. Every request on the connection carries one.
 #[derive(Clone, Debug)]
-pub(super) struct Peer {
+pub(crate) struct Peer {
     from: From,
     /// `None`: the kernel does not say.
     uid: Option<u32>,

@@ -30,7 +30,7 @@ pub(super) enum Stream {
 
 /// A caller that was let in.
 #[derive(Debug)]
-pub(in crate::control) struct Connection {
+pub(crate) struct Connection {
     /// A forked child that kept it would keep its caller waiting after the end of this process.
     _unshared: Unshared,
     stream: Stream,

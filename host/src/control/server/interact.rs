@@ -25,7 +25,7 @@ type Lines = Pin<Box<dyn Stream<Item = Result<v1::LogsResponse, Status>> + Send>
 /// Most that one Subscribe follows: each is pushed to by the component's own thread.
 const SELECTIONS: usize = 256;
 /// Most that all callers of a port follow.
-pub(in crate::control) const FOLLOWED: usize = 16_384;
+pub(crate) const FOLLOWED: usize = 16_384;
 /// Items one caller may have waiting.
 const WAITING: usize = 256;
 

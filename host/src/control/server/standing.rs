@@ -11,11 +11,11 @@ use trocar_rt::os::now_ns;
 
 /// Most calls of one kind that a port serves at a time. Each has a task and messages of its own for every
 /// change, or every line, so without a bound one program that opens them without end takes the memory of all.
-pub(in crate::control) const STANDING: usize = 256;
+pub(crate) const STANDING: usize = 256;
 
 /// The places of each kind.
 #[derive(Debug)]
-pub(in crate::control) struct Standing {
+pub(crate) struct Standing {
     pub(super) watches: Places,
     /// Lists that name an etag and wait for another one.
     pub(super) lists: Places,

@@ -58,7 +58,7 @@ fn row_bytes(class: &ClassInfo) -> usize {
 }
 
 /// Checks everything that may be wrong with an execution but a cycle.
-pub(in crate::plan) fn check(
+pub(crate) fn check(
     graph: &SystemGraph,
     verb: &str,
     id: &ComponentId,
@@ -137,7 +137,7 @@ fn called_back(class: &ClassInfo, execution: &Execution) -> Result<(), Fault> {
 }
 
 /// Checks that a component can still be run by the thread that sets its pace.
-pub(in crate::plan) fn check_limits(
+pub(crate) fn check_limits(
     graph: &SystemGraph,
     class: &ClassInfo,
     execution: &Execution,
