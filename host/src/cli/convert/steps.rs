@@ -1,5 +1,6 @@
 //! Requests of a system file → steps of an Apply.
 
+use serde_json::Value;
 use trocar_model::{ConnectOptions, Execution, Name, Queue, Refusal, Request, Target, Which};
 use trocar_proto::v1;
 use trocar_proto::v1::step::Step as S;
@@ -9,20 +10,12 @@ use crate::gcm::{Apart, Fate, Supervisor, Told, Wanted};
 
 pub(crate) fn step(request: &Request) -> v1::Step {
     let step = match request {
-        Request::Create { id, class, config, execution } => S::Create(v1::CreateRequest {
-            path: id.to_string(),
-            class: class.clone(),
-            config: config.as_ref().map(to_struct),
-            execution: Some(self::execution(execution)),
-            ..v1::CreateRequest::default()
-        }),
+        Request::Create { id, class, config, execution } => {
+            S::Create(create(id.to_string(), class, config.as_ref(), execution))
+        }
         Request::CreateApart { id, home, class, config, execution } => S::Create(v1::CreateRequest {
-            path: format!("{home}/{}", id.component),
-            class: class.clone(),
-            config: config.as_ref().map(to_struct),
-            execution: Some(self::execution(execution)),
             isolation: "process".to_owned(),
-            ..v1::CreateRequest::default()
+            ..create(format!("{home}/{}", id.component), class, config.as_ref(), execution)
         }),
         Request::Remove { id, force } => S::Remove(v1::RemoveRequest {
             path: id.to_string(),
@@ -68,6 +61,16 @@ pub(crate) fn step(request: &Request) -> v1::Step {
         }
     };
     v1::Step { step: Some(step) }
+}
+
+fn create(path: String, class: &str, config: Option<&Value>, execution: &Execution) -> v1::CreateRequest {
+    v1::CreateRequest {
+        path,
+        class: class.to_owned(),
+        config: config.map(to_struct),
+        execution: Some(self::execution(execution)),
+        ..v1::CreateRequest::default()
+    }
 }
 
 fn paths(targets: &[Target]) -> Vec<String> {
