@@ -6,8 +6,9 @@ use std::collections::BTreeMap;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::{Mutex, MutexGuard};
 use rustix::event::EventfdFlags;
 
 use crate::session::Session;
@@ -49,15 +50,15 @@ impl Shared {
     }
 
     pub(crate) fn take(&self) -> Vec<Ask> {
-        std::mem::take(&mut *self.asked.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *self.asked.lock())
     }
 
     pub(crate) fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+        self.known.lock()
     }
 
     pub(crate) fn ask(&self, ask: Ask) {
-        self.asked.lock().unwrap_or_else(PoisonError::into_inner).push(ask);
+        self.asked.lock().push(ask);
         // A counter that is full wakes as well.
         let _ = rustix::io::write(&self.bell, &1u64.to_ne_bytes());
     }

@@ -4,9 +4,10 @@
 
 use std::io;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 
+use parking_lot::Mutex;
 use trocar_rt::house;
 
 use crate::address;
@@ -80,7 +81,7 @@ impl Links {
     /// Ends all sessions and the thread.
     pub fn stop(&self) {
         self.shared.ask(Ask::Stop);
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let thread = self.thread.lock().take();
         let Some(thread) = thread else { return };
         if thread.join().is_err() {
             log::error!("the thread of the links to other processes panicked");

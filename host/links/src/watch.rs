@@ -4,10 +4,11 @@
 //! Invariant: another process that plays with its word costs a few wakes and the early sign of its own end,
 //! which its heart and its socket tell as well.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use parking_lot::Mutex;
 use trocar_rt::house;
 use trocar_rt::os::{MOST_WORDS, Scope, futex_wait_each, futex_wake};
 use trocar_rt::pulse::Life;
@@ -49,10 +50,6 @@ struct Watched {
 }
 
 impl Asked {
-    fn book(&self) -> MutexGuard<'_, Book> {
-        self.book.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn ring(&self) {
         self.bell.fetch_add(1, Ordering::Release);
         futex_wake(&self.bell, 1, Scope::Process);
@@ -68,7 +65,7 @@ impl Watch {
     /// no word, there are too many, the kernel cannot, or the machine gives no thread.
     pub(crate) fn add(&mut self, session: &Arc<Session>) -> bool {
         let Life::Lives(word) = session.pulse.life() else { return false };
-        let mut book = self.asked.book();
+        let mut book = self.asked.book.lock();
         if book.over || book.watched.len() + 1 >= MOST_WORDS {
             return false;
         }
@@ -85,7 +82,7 @@ impl Watch {
     }
 
     pub(crate) fn remove(&self, session: &Arc<Session>) {
-        let mut book = self.asked.book();
+        let mut book = self.asked.book.lock();
         let all = book.watched.len();
         book.watched.retain(|watched| !Arc::ptr_eq(&watched.session, session));
         let was_there = book.watched.len() < all;
@@ -98,7 +95,7 @@ impl Watch {
 
 impl Drop for Watch {
     fn drop(&mut self) {
-        self.asked.book().over = true;
+        self.asked.book.lock().over = true;
         self.asked.ring();
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
@@ -113,7 +110,7 @@ fn watch(asked: &Asked, shared: &Shared) {
     loop {
         let rung = asked.bell.load(Ordering::Acquire);
         let watched = {
-            let mut book = asked.book();
+            let mut book = asked.book.lock();
             if book.over {
                 return;
             }
@@ -128,7 +125,7 @@ fn watch(asked: &Asked, shared: &Shared) {
                 log::info!(
                     "the kernel lets no thread sleep on several words: the death of a process is seen later"
                 );
-                *asked.book() = Book { over: true, ..Book::default() };
+                *asked.book.lock() = Book { over: true, ..Book::default() };
                 return;
             }
         };

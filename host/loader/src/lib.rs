@@ -23,7 +23,6 @@ mod linked;
 mod listed;
 mod load;
 mod load_fault;
-mod lock;
 mod manifest;
 mod other_threads;
 mod resident;

@@ -4,14 +4,14 @@
 //! that nothing is opened, so there is nothing to trust, to cache or to try out in a child process first.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use trocar_plugin_api::abi::{ClassTable, HOST_LINKED, StaticPlugin};
 use trocar_plugin_api::manifest::Manifest;
 
 use super::host_table::LogFn;
 use super::load::settle_in;
-use super::lock::lock;
 use super::table::check_table;
 use super::{Fault, manifest};
 
@@ -49,7 +49,7 @@ impl LinkedPlugin {
         // SAFETY: what the entry returned is a table or null, and is checked before it is read.
         let classes =
             unsafe { check_table(table, &manifest) }.map_err(|what| Fault::EntryDiffers { what })?;
-        let mut linked = lock(&LINKED);
+        let mut linked = LINKED.lock();
         if let Some(known) = linked.get(&table.addr()) {
             return Ok(known.clone());
         }

@@ -4,15 +4,15 @@
 //! were judged.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use trocar_plugin_api::manifest::{Class, Manifest};
 
 use super::Hash;
 use super::beside::Brought;
 use super::file::FileBytes;
 use super::inspect::Facts;
-use super::lock::lock;
 use super::resident::Libraries;
 
 /// A plugin whose file was taken; none of its code has run.
@@ -87,12 +87,12 @@ impl ListedPlugin {
     }
 
     pub(super) fn content(&self) -> Option<Arc<Content>> {
-        lock(&self.content).clone()
+        self.content.lock().clone()
     }
 
     /// Its code is in the process: the cache has the bytes.
     pub(super) fn drop_content(&self) {
-        *lock(&self.content) = None;
+        *self.content.lock() = None;
     }
 }
 

@@ -6,10 +6,11 @@
 use std::ffi::c_int;
 use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
+use parking_lot::{Mutex, MutexGuard};
 use trocar_plugin_api::abi::{ClassTable, LOG_ERROR, PluginTable, STATUS_OK};
 use trocar_plugin_api::layout::{AbiHeader, LAYOUT_SYMBOL, LibHeader};
 use trocar_plugin_api::manifest::{Class, Manifest};
@@ -103,7 +104,7 @@ pub struct Loading(#[expect(dead_code, reason = "held")] MutexGuard<'static, ()>
 
 impl Loading {
     pub fn begin() -> Loading {
-        let one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let one = ONE.lock();
         BEGAN_NS.store(os::now_ns(), Ordering::SeqCst);
         LOADS.0.fetch_add(1, Ordering::SeqCst);
         Loading(one)
@@ -222,7 +223,7 @@ static SAID: Mutex<String> = Mutex::new(String::new());
 
 fn note(_plugin: &str, level: u32, _target: &str, message: &str) {
     if level == LOG_ERROR {
-        message.clone_into(&mut SAID.lock().unwrap_or_else(PoisonError::into_inner));
+        message.clone_into(&mut SAID.lock());
     }
 }
 
@@ -242,7 +243,7 @@ pub(crate) fn try_out(
     let done = unsafe { call_init(opened.table, &manifest.name, note, 0) };
     done.map_err(|fault| match fault {
         LoadFault::Init { status, .. } => {
-            let said = SAID.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let said = SAID.lock().clone();
             LoadFault::Init { status, said }
         }
         other => other,

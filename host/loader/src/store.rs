@@ -7,14 +7,15 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::Arc;
 use std::time::Duration;
+
+use parking_lot::{Mutex, RwLock};
 
 use super::cache::Cache;
 use super::host_table::{LogFn, log_to_crate};
 use super::listed::{ClassRef, Content, ListedPlugin};
 use super::load::{self, LoadedClass, LoadedPlugin};
-use super::lock::lock;
 use super::scan::{SETTLE, Scanner, is_called};
 use super::vet::{self, VET_LIMIT};
 use super::{CatalogChange, Fault, Hash, PluginEntry, PluginError, StoreError, Trust, catalog, closing};
@@ -133,7 +134,7 @@ impl PluginStore {
     /// known of them. Files that were tried before, or are named, are tried anew in the child process. Waits
     /// for that. Loaded code stays. Not for an observer, as [`PluginStore::rescan`].
     pub fn recheck(&self, name: &str) {
-        lock(&self.scanner).forget(name);
+        self.scanner.lock().forget(name);
         self.rescan();
         for plugin in self.entries().iter().filter_map(PluginEntry::listed) {
             if is_called(name, &plugin.file, Some(plugin.name())) {
@@ -144,17 +145,17 @@ impl PluginStore {
 
     /// The fault of the plugin's code when it was tried last, if there was one.
     pub fn failure(&self, plugin: &ListedPlugin) -> Option<PluginError> {
-        let fault = lock(&self.failed).get(&plugin.hash).cloned()?;
+        let fault = self.failed.lock().get(&plugin.hash).cloned()?;
         Some(PluginError::Refused { file: plugin.file.clone(), fault })
     }
 
     fn try_again(&self, plugin: &ListedPlugin, unasked_too: bool) {
-        let slot = lock(&self.loaded).entry(plugin.hash).or_default().clone();
-        let slot = lock(&slot);
+        let slot = self.loaded.lock().entry(plugin.hash).or_default().clone();
+        let slot = slot.lock();
         if slot.is_some() {
             return;
         }
-        let was_tried = lock(&self.failed).remove(&plugin.hash).is_some() | self.cache.forget(&plugin.hash);
+        let was_tried = self.failed.lock().remove(&plugin.hash).is_some() | self.cache.forget(&plugin.hash);
         if was_tried || unasked_too {
             self.noting(plugin, self.vetted(plugin).map(drop)).ok();
         }
@@ -162,21 +163,21 @@ impl PluginStore {
 
     /// One look; true when a file is still being written.
     pub(super) fn scan(&self, closed: &BTreeSet<PathBuf>) -> bool {
-        let mut scanner = lock(&self.scanner);
-        let writing = lock(&self.writing).clone();
+        let mut scanner = self.scanner.lock();
+        let writing = self.writing.lock().clone();
         let scan = scanner.scan(&self.config.dirs, &self.config.trust, closed, &writing);
         let before = self.entries();
         let after = Arc::new(catalog::assemble(&before, scan.findings));
         let changes = catalog::changes(&before, &after);
         self.drop_loaded_content(&after);
         let listed: BTreeSet<Hash> = after.iter().filter_map(PluginEntry::listed).map(|p| p.hash).collect();
-        lock(&self.failed).retain(|hash, _| listed.contains(hash));
-        *self.entries.write().unwrap_or_else(PoisonError::into_inner) = after;
+        self.failed.lock().retain(|hash, _| listed.contains(hash));
+        *self.entries.write() = after;
         self.close_unused(&listed);
         if !changes.is_empty() {
             self.prune(listed);
         }
-        let observers = lock(&self.observers);
+        let observers = self.observers.lock();
         for change in &changes {
             observers.iter().for_each(|o| (o.tell)(change));
         }
@@ -251,14 +252,14 @@ impl PluginStore {
     pub fn load(&self, class: &ClassRef) -> Result<LoadedClass, PluginError> {
         let plugin = &class.plugin;
         let refused = |fault| PluginError::Refused { file: plugin.file.clone(), fault };
-        let slot = lock(&self.loaded).entry(plugin.hash).or_default().clone();
-        let mut slot = lock(&slot);
+        let slot = self.loaded.lock().entry(plugin.hash).or_default().clone();
+        let mut slot = slot.lock();
         let loaded = match &*slot {
             Some(loaded) => loaded.clone(),
             None => {
                 let loaded = Arc::new(self.load_plugin(plugin).map_err(refused)?);
                 *slot = Some(loaded.clone());
-                lock(&self.present).insert(plugin.hash);
+                self.present.lock().insert(plugin.hash);
                 plugin.drop_content();
                 loaded
             }
@@ -271,8 +272,8 @@ impl PluginStore {
     /// The class `plugin/class` of the file with this hash, if its code is in the process, whichever file of
     /// that plugin is listed now. Loads nothing; waits while that very content is being loaded.
     pub fn resident(&self, full_name: &str, hash: &Hash) -> Option<LoadedClass> {
-        let slot = lock(&self.loaded).get(hash).cloned()?;
-        let plugin = lock(&slot).clone()?;
+        let slot = self.loaded.lock().get(hash).cloned()?;
+        let plugin = slot.lock().clone()?;
         let class = full_name.strip_prefix(&plugin.manifest.name)?.strip_prefix('/')?;
         let index = plugin.manifest.classes.iter().position(|c| c.name == class)?;
         plugin.class(index)
@@ -280,12 +281,12 @@ impl PluginStore {
 
     /// True when the code of this file content is in the process.
     pub fn is_loaded(&self, hash: &Hash) -> bool {
-        lock(&self.present).contains(hash)
+        self.present.lock().contains(hash)
     }
 
     /// Once at a time for each content: the caller holds its slot.
     fn load_plugin(&self, plugin: &ListedPlugin) -> Result<LoadedPlugin, Fault> {
-        if let Some(fault) = lock(&self.failed).get(&plugin.hash).filter(|fault| fault.is_of_the_file()) {
+        if let Some(fault) = self.failed.lock().get(&plugin.hash).filter(|fault| fault.is_of_the_file()) {
             return Err(fault.clone());
         }
         let load = |(path, content): (PathBuf, Arc<Content>)| {
@@ -308,8 +309,8 @@ impl PluginStore {
     /// Keeps the outcome of a plugin's code.
     fn noting<T>(&self, plugin: &ListedPlugin, outcome: Result<T, Fault>) -> Result<T, Fault> {
         match &outcome {
-            Ok(_) => drop(lock(&self.failed).remove(&plugin.hash)),
-            Err(fault) => drop(lock(&self.failed).insert(plugin.hash, fault.clone())),
+            Ok(_) => drop(self.failed.lock().remove(&plugin.hash)),
+            Err(fault) => drop(self.failed.lock().insert(plugin.hash, fault.clone())),
         }
         outcome
     }
@@ -317,15 +318,15 @@ impl PluginStore {
     /// Takes the libraries out of the process that ask for it and of which nothing is left. The caller has
     /// the scanner, so that no file of theirs is listed meanwhile.
     fn close_unused(&self, listed: &BTreeSet<Hash>) {
-        let slots = lock(&self.loaded);
+        let slots = self.loaded.lock();
         let unlisted = slots.iter().filter(|(hash, _)| !listed.contains(hash));
         let unlisted: Vec<(Hash, Slot)> = unlisted.map(|(hash, slot)| (*hash, slot.clone())).collect();
         drop(slots);
         for (hash, slot) in unlisted {
-            let Ok(mut slot) = slot.try_lock() else { continue };
+            let Some(mut slot) = slot.try_lock() else { continue };
             match slot.take().map(closing::last) {
                 Some(Ok(plugin)) => {
-                    lock(&self.present).remove(&hash);
+                    self.present.lock().remove(&hash);
                     // SAFETY: as `closing::last` gave it.
                     unsafe { plugin.close() };
                 }
@@ -338,8 +339,8 @@ impl PluginStore {
     /// A file that came back with content that is loaded already needs no bytes in memory.
     fn drop_loaded_content(&self, entries: &[PluginEntry]) {
         for plugin in entries.iter().filter_map(PluginEntry::listed) {
-            let slot = lock(&self.loaded).get(&plugin.hash).cloned();
-            let loaded = slot.is_some_and(|slot| slot.try_lock().is_ok_and(|s| s.is_some()));
+            let slot = self.loaded.lock().get(&plugin.hash).cloned();
+            let loaded = slot.is_some_and(|slot| slot.try_lock().is_some_and(|s| s.is_some()));
             if loaded {
                 plugin.drop_content();
             }
@@ -348,8 +349,8 @@ impl PluginStore {
 
     /// Removes old versions from the cache, but for those whose code is loaded or being loaded.
     fn prune(&self, mut keep: BTreeSet<Hash>) {
-        let loaded = lock(&self.loaded);
-        let used = loaded.iter().filter(|(_, slot)| slot.try_lock().map_or(true, |loaded| loaded.is_some()));
+        let loaded = self.loaded.lock();
+        let used = loaded.iter().filter(|(_, slot)| slot.try_lock().is_none_or(|loaded| loaded.is_some()));
         keep.extend(used.map(|(hash, _)| *hash));
         // Held until then: a load enters its slot first.
         self.cache.prune(&keep);
@@ -357,7 +358,7 @@ impl PluginStore {
     }
 
     fn entries(&self) -> Arc<Vec<PluginEntry>> {
-        self.entries.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.entries.read().clone()
     }
 }
 

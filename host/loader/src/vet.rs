@@ -10,17 +10,17 @@ use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
+use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use trocar_model::plain::sentence;
 use trocar_plugin_api::environment;
 use trocar_rt::house;
 
 use super::error::Stage;
 use super::load_fault::LoadFault;
-use super::lock::lock;
 use super::{Fault, PluginError};
 
 /// Hidden subcommand of the host binary: `__vet FILE`.
@@ -91,7 +91,7 @@ impl LastWords {
         let reading = move || {
             let mut piece = [0; 4096];
             while let Ok(read @ 1..) = from.read(&mut piece) {
-                let mut kept = lock(&into);
+                let mut kept = into.lock();
                 kept.extend(&piece[..read]);
                 let more = kept.len().saturating_sub(WORDS_LIMIT);
                 kept.drain(..more);
@@ -107,7 +107,7 @@ impl LastWords {
     /// Returns the words as one line. A grandchild may hold the pipe open: then those that have come by now.
     fn said(self) -> String {
         let _ = self.1.recv_timeout(AFTERWARDS);
-        let bytes: Vec<u8> = lock(&self.0).iter().copied().collect();
+        let bytes: Vec<u8> = self.0.lock().iter().copied().collect();
         let text = String::from_utf8_lossy(&bytes);
         let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
         sentence(lines.join("; ").as_bytes())

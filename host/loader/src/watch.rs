@@ -17,7 +17,6 @@ use notify::{RecommendedWatcher, RecursiveMode, Watcher};
 use trocar_rt::house;
 
 use super::file::is_library_name;
-use super::lock::lock;
 use super::scan::SETTLE;
 use super::store::Observer;
 use super::{CatalogChange, PluginStore};
@@ -50,7 +49,7 @@ impl PluginStore {
     pub fn watch(self: &Arc<Self>, callback: impl Fn(&CatalogChange) + Send + 'static) -> WatchHandle {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         let id = NEXT.fetch_add(1, Ordering::Relaxed);
-        lock(&self.observers).push(Observer { id, tell: Box::new(callback) });
+        self.observers.lock().push(Observer { id, tell: Box::new(callback) });
         let (stop, messages) = channel();
         // Events are asked for before this returns: a copy that begins now is seen from its first byte.
         let watching = Watching::new(self.clone(), stop.clone());
@@ -71,7 +70,7 @@ impl Drop for WatchHandle {
         {
             log::error!("the thread that watches plugin directories panicked");
         }
-        lock(&self.store.observers).retain(|o| o.id != self.id);
+        self.store.observers.lock().retain(|o| o.id != self.id);
     }
 }
 
@@ -139,16 +138,16 @@ impl Watching {
             match event.kind {
                 EventKind::Access(AccessKind::Close(AccessMode::Write))
                 | EventKind::Modify(ModifyKind::Name(RenameMode::To)) => {
-                    lock(&self.store.writing).remove(path);
+                    self.store.writing.lock().remove(path);
                     self.closed.insert(path.clone());
                     self.look_soon();
                 }
                 EventKind::Modify(ModifyKind::Data(_)) => {
                     self.closed.remove(path);
-                    lock(&self.store.writing).insert(path.clone());
+                    self.store.writing.lock().insert(path.clone());
                 }
                 EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(_)) => {
-                    lock(&self.store.writing).remove(path);
+                    self.store.writing.lock().remove(path);
                     self.closed.remove(path);
                     self.look_soon();
                 }

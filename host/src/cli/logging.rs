@@ -7,10 +7,11 @@ use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use log::{Level, LevelFilter, Log, Metadata, Record};
+use parking_lot::Mutex;
 use trocar_rt::os;
 
 use super::logs::clock;
@@ -49,7 +50,7 @@ enum Readers {
 impl Logger {
     /// Calls the reader outside the lock: it may not come back.
     fn tell(&self, line: LogLine) {
-        let mut readers = self.readers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut readers = self.readers.lock();
         match &mut *readers {
             Readers::Told(told) => {
                 let told = told.clone();
@@ -73,7 +74,7 @@ struct Rotating {
 pub(super) fn install(shown: LevelFilter) {
     let asked = std::env::var("TROCAR_LOG").ok().and_then(|l| l.parse().ok());
     let shown = asked.unwrap_or(shown);
-    *LOGGER.shown.lock().unwrap_or_else(PoisonError::into_inner) = shown;
+    *LOGGER.shown.lock() = shown;
     // A second call (several hosts in one process) keeps the first logger.
     let _ = log::set_logger(&LOGGER);
     log::set_max_level(shown.max(LevelFilter::Info));
@@ -83,14 +84,14 @@ pub(super) fn install(shown: LevelFilter) {
 pub(super) fn to_file(dir: &Path) {
     let path = dir.join(FILE);
     match Rotating::open(path.clone()) {
-        Ok(file) => *LOGGER.file.lock().unwrap_or_else(PoisonError::into_inner) = Some(file),
+        Ok(file) => *LOGGER.file.lock() = Some(file),
         Err(e) => log::warn!("no log file: {}: {e}", path.display()),
     }
 }
 
 /// Makes the process's own lines readable like those of its components, those since the start, too.
 pub(super) fn to_readers(tell: impl Fn(LogLine) + Send + Sync + 'static) {
-    let mut readers = LOGGER.readers.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut readers = LOGGER.readers.lock();
     if let Readers::Early(kept) = &mut *readers {
         std::mem::take(kept).into_iter().for_each(&tell);
     }
@@ -122,14 +123,14 @@ pub(super) struct Diverted(());
 
 impl Diverted {
     pub(super) fn begin() -> Diverted {
-        *LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(Kept::default());
+        *LOGGER.kept.lock() = Some(Kept::default());
         Diverted(())
     }
 }
 
 /// Warns of something that holds from now on: on stderr, or among the lines that are kept for a screen.
 pub(super) fn warn(text: &str) {
-    match LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+    match LOGGER.kept.lock().as_mut() {
         Some(kept) => kept.lasting.push(format!("warning: {}", paragraph(text))),
         None => out::complain("warning", text),
     }
@@ -137,12 +138,12 @@ pub(super) fn warn(text: &str) {
 
 /// The lines that are kept for a screen now.
 pub(super) fn kept() -> Kept {
-    LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
+    LOGGER.kept.lock().clone().unwrap_or_default()
 }
 
 impl Drop for Diverted {
     fn drop(&mut self) {
-        let kept = LOGGER.kept.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+        let kept = LOGGER.kept.lock().take().unwrap_or_default();
         let mut text: String = kept.lasting.iter().map(|line| format!("{line}\n")).collect();
         if kept.all > kept.newest.len() {
             let before = count((kept.all - kept.newest.len()) as u64, "line");
@@ -185,13 +186,13 @@ impl Log for Logger {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         let said = record.args().to_string();
         let line = format!("{}Z {:5} {}\n", clock(now), record.level(), paragraph(&said));
-        if record.level() <= *self.shown.lock().unwrap_or_else(PoisonError::into_inner) {
-            match self.kept.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+        if record.level() <= *self.shown.lock() {
+            match self.kept.lock().as_mut() {
                 Some(kept) => kept.push(&line),
                 None => _ = os::standard_error().write_all(line.as_bytes()),
             }
         }
-        if let Some(file) = self.file.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+        if let Some(file) = self.file.lock().as_mut() {
             let _ = file.write(&line);
         }
         // The LCM sends the log lines of components.

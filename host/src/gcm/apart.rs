@@ -15,7 +15,6 @@ use trocar_model::{
 use super::Gcm;
 use super::answer::{ExecuteOptions, Executed};
 use super::isolation::{Apart, Isolation, Wanted};
-use super::lock::lock;
 
 /// Longest wait for a process that is not wanted any more: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
@@ -145,13 +144,13 @@ impl Gcm {
         self.inner.isolation.borrow().is_kept(process)?;
         // A process that ends in order stops its components first; those that ran before are to run again.
         self.edit_if(|graph| {
-            lock(&self.inner.sessions).wanted.of(graph, process);
+            self.inner.sessions.lock().wanted.of(graph, process);
             false
         });
         let restarted = self.have_restarted(process, &before, &mut graphs, deadline).await;
         let goes_on = |p: &Process| p.state == ProcessState::Attached && p.epoch == before.epoch;
         if restarted.is_err() && self.graph().processes.get(process).is_some_and(goes_on) {
-            lock(&self.inner.sessions).wanted.stays(process);
+            self.inner.sessions.lock().wanted.stays(process);
         }
         restarted
     }

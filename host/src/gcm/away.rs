@@ -13,7 +13,6 @@ use trocar_model::{
 use super::Gcm;
 use super::far::awaited;
 use super::fate::dismiss;
-use super::lock::lock;
 use super::sessions::Sessions;
 
 /// Tells whether nothing of the process is known to run. A process that is here and gets its components back
@@ -46,7 +45,7 @@ pub(super) fn plan_away(graph: &SystemGraph, requests: &[Request]) -> Result<Pla
 impl Gcm {
     /// Tells whether all requests only take something away of processes that have ended.
     pub(super) fn only_takes_away(&self, graph: &SystemGraph, requests: &[Request]) -> bool {
-        let sessions = lock(&self.inner.sessions);
+        let sessions = self.inner.sessions.lock();
         let ended = |name: &Name| {
             graph.processes.get(name).is_some_and(|p| has_ended(p, sessions.holder(name).is_some()))
         };
@@ -72,7 +71,7 @@ impl Gcm {
             })
             .collect();
         self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
+            let mut sessions = self.inner.sessions.lock();
             back = requests.iter().find_map(|request| came_back(graph, &sessions, request));
             if back.is_some() {
                 return false;
@@ -98,7 +97,7 @@ impl Gcm {
         }
         for change in &plan.changes {
             if let Change::Destroy { id, .. } = change {
-                lock(&self.inner.holds).removed(id);
+                self.inner.holds.lock().removed(id);
             }
         }
         self.not_wanted(&forgotten.into_iter().cloned().collect());

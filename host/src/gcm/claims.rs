@@ -5,16 +5,16 @@
 //! nothing it rests on changes before it is done.
 
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Instant;
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 use trocar_model::{
     Change, ComponentId, Pattern, Plan, Refusal, Request, SystemGraph, Target, Verb, Which, host_of,
 };
 
 use super::changes::id_of;
-use super::lock::lock;
 
 /// Part of the system that a request touches.
 #[derive(Clone, Debug, Default)]
@@ -175,7 +175,7 @@ impl Claims {
     /// Tells those being carried out something; true when one of them is concerned, as `tell` says.
     pub(super) fn mark(&self, mut tell: impl FnMut(&mut Marks) -> bool) -> bool {
         let mut concerned = false;
-        for entry in lock(&self.list).entries.iter_mut().filter(|e| e.under_way) {
+        for entry in self.list.lock().entries.iter_mut().filter(|e| e.under_way) {
             concerned |= tell(&mut entry.marks);
         }
         self.news.send_replace(());
@@ -207,7 +207,7 @@ impl Claims {
     }
 
     fn queue(&self, part: Part) -> Claim<'_> {
-        let mut list = lock(&self.list);
+        let mut list = self.list.lock();
         let number = list.next;
         list.next += 1;
         let (marks, doing) = (Marks::default(), "another request".to_owned());
@@ -224,7 +224,7 @@ pub(super) struct Claim<'a> {
 
 impl Drop for Claim<'_> {
     fn drop(&mut self) {
-        lock(&self.claims.list).entries.retain(|e| e.number != self.number);
+        self.claims.list.lock().entries.retain(|e| e.number != self.number);
         self.claims.news.send_replace(());
     }
 }
@@ -236,7 +236,7 @@ impl Claim<'_> {
 
     /// Looks at, or changes, the wishes of other requests.
     pub(super) fn marks<R>(&self, look: impl FnOnce(&mut Marks) -> R) -> R {
-        let mut list = lock(&self.claims.list);
+        let mut list = self.claims.list.lock();
         match list.entries.iter_mut().find(|e| e.number == self.number) {
             Some(entry) => look(&mut entry.marks),
             // Impossible while this exists.
@@ -246,7 +246,7 @@ impl Claim<'_> {
 
     /// Sets what this request waits for from now on, for requests that wait for it.
     pub(super) fn doing(&self, what: String) {
-        if let Some(entry) = lock(&self.claims.list).entries.iter_mut().find(|e| e.number == self.number) {
+        if let Some(entry) = self.claims.list.lock().entries.iter_mut().find(|e| e.number == self.number) {
             entry.doing = what;
         }
     }
@@ -256,7 +256,7 @@ impl Claim<'_> {
     /// # Errors
     /// PartTaken: another request has some of it.
     pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> Result<(), Refusal> {
-        let mut list = lock(&self.claims.list);
+        let mut list = self.claims.list.lock();
         let own = list.entries.iter().position(|e| e.number == self.number);
         let Some(own) = own else {
             return Err(Refusal::Internal { text: "a request under way has no part of the system".into() });
@@ -277,7 +277,7 @@ impl Claim<'_> {
         named: &Part,
         plan: impl FnOnce() -> Result<(Arc<SystemGraph>, Planned), Refusal>,
     ) -> Result<Result<(Arc<SystemGraph>, Plan), Refusal>, String> {
-        let mut list = lock(&self.claims.list);
+        let mut list = self.claims.list.lock();
         let first = |part: &Part, list: &List| {
             let mut others = list.entries.iter().filter(|e| e.number != self.number);
             let before = others.find(|e| (e.under_way || e.number < self.number) && e.part.meets(part));

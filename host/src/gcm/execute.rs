@@ -17,7 +17,6 @@ use super::carrying::Carrying;
 use super::claims::Planned;
 use super::generated::first_part;
 use super::isolation::Apart;
-use super::lock::lock;
 use super::requests::Known;
 use super::{Gcm, audit};
 
@@ -42,12 +41,12 @@ impl Gcm {
         if options.validate_only || options.request_id.is_empty() {
             return carried_out.await;
         }
-        let known = lock(&self.inner.answers).ask(&options.request_id, asked, Instant::now());
+        let known = self.inner.answers.lock().ask(&options.request_id, asked, Instant::now());
         match known {
             Known::New(tell) => {
                 let answer = carried_out.await;
                 tell.send_replace(Some(answer.clone()));
-                lock(&self.inner.answers).given(&options.request_id, &answer);
+                self.inner.answers.lock().given(&options.request_id, &answer);
                 answer
             }
             Known::Same(mut answer) => {

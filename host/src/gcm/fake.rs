@@ -3,11 +3,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::pin::pin;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
+use parking_lot::Mutex;
 use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::timeout;
@@ -205,41 +206,41 @@ impl FakeLcm {
 
     /// "Connect b/x/input to a/x/value" cannot be done from now on.
     pub(crate) fn unreachable(&self, connect: &str) {
-        self.unreachable.lock().unwrap().insert(connect.into());
+        self.unreachable.lock().insert(connect.into());
     }
 
     /// "Configure host/a" makes these ports.
     pub(crate) fn ports_at(&self, change: &str, ports: Ports) {
-        self.ports.lock().unwrap().insert(change.into(), Arc::new(ports));
+        self.ports.lock().insert(change.into(), Arc::new(ports));
     }
 
     /// The LCM has cut the connection of this Disconnect already, and did not tell.
     pub(crate) fn has_cut(&self, disconnect: &str) {
-        self.has_cut.lock().unwrap().insert(disconnect.into());
+        self.has_cut.lock().insert(disconnect.into());
     }
 
     /// "Start host/a" is refused from now on.
     pub(crate) fn refuse(&self, change: &str) {
-        self.refuse.lock().unwrap().insert(change.into());
+        self.refuse.lock().insert(change.into());
     }
 
     /// "Start host/a" ends in FAULT from now on.
     pub(crate) fn fault_at(&self, change: &str) {
-        self.fault.lock().unwrap().insert(change.into());
+        self.fault.lock().insert(change.into());
     }
 
     /// In the middle of the next "Start host/a" the process goes away.
     pub(crate) fn lose_at(&self, change: &str) {
-        self.lose.lock().unwrap().insert(change.into());
+        self.lose.lock().insert(change.into());
     }
 
     /// "Start host/a" hangs until [`FakeLcm::release`].
     pub(crate) fn hold(&self, change: &str) {
-        self.held.lock().unwrap().insert(change.into());
+        self.held.lock().insert(change.into());
     }
 
     pub(crate) fn release(&self, change: &str) {
-        self.held.lock().unwrap().remove(change);
+        self.held.lock().remove(change);
         self.released.send_modify(|n| *n += 1);
     }
 
@@ -249,16 +250,16 @@ impl FakeLcm {
     }
 
     pub(crate) fn done(&self) -> Vec<String> {
-        self.done.lock().unwrap().clone()
+        self.done.lock().clone()
     }
 
     pub(crate) fn state(&self, component: &str) -> Option<State> {
-        self.states.lock().unwrap().get(&id(component)).copied()
+        self.states.lock().get(&id(component)).copied()
     }
 
     /// A component goes into another state by itself.
     pub(crate) fn become_state(&self, component: &str, state: State, fault: &str) {
-        self.states.lock().unwrap().insert(id(component), state);
+        self.states.lock().insert(id(component), state);
         let report = Report { fault: fault.into(), ..report(&id(component), state) };
         // Nobody listening is fine.
         let _ = self.news.send(News::State(report));
@@ -279,7 +280,7 @@ impl FakeLcm {
 
     /// Gives an item to every follower.
     pub(crate) async fn emit(&self, path: &str, n: u64) {
-        let feeds = self.feeds.lock().unwrap().clone();
+        let feeds = self.feeds.lock().clone();
         for feed in feeds {
             let _ = feed.send(event(path, n)).await;
         }
@@ -292,12 +293,12 @@ impl FakeLcm {
 
     /// Ends every subscription, as when what was followed is made anew.
     pub(crate) fn end_feeds(&self) {
-        self.feeds.lock().unwrap().clear();
+        self.feeds.lock().clear();
     }
 
     /// Waits until all subscriptions have ended.
     pub(crate) async fn unfollowed(&self) {
-        let feeds = self.feeds.lock().unwrap().clone();
+        let feeds = self.feeds.lock().clone();
         for feed in feeds {
             feed.closed().await;
         }
@@ -327,29 +328,29 @@ impl Lcm for FakeLcm {
     async fn apply(&self, change: Change, _: Instant) -> Result<Report, Refusal> {
         let asked = text::asked(&change);
         let mut released = self.released.subscribe();
-        while self.held.lock().unwrap().contains(&asked) {
+        while self.held.lock().contains(&asked) {
             self.waiting.send_modify(|w| {
                 w.insert(asked.clone());
             });
             released.changed().await.unwrap();
         }
-        if self.lose.lock().unwrap().remove(&asked) {
+        if self.lose.lock().remove(&asked) {
             return Err(Refusal::lost(self.process.clone()));
         }
-        self.done.lock().unwrap().push(asked.clone());
+        self.done.lock().push(asked.clone());
         let id = super::changes::id_of(&change).clone();
-        if self.refuse.lock().unwrap().contains(&asked) {
+        if self.refuse.lock().contains(&asked) {
             return Err(Refusal::ComponentRefused { id, entry: "start", text: "the cable is out".into() });
         }
-        if self.has_cut.lock().unwrap().contains(&asked) {
+        if self.has_cut.lock().contains(&asked) {
             return Err(Refusal::ConnectionNotFound { asked, known: Vec::new() });
         }
-        if self.fault.lock().unwrap().contains(&asked) {
+        if self.fault.lock().contains(&asked) {
             let text = "start: the cable is out".to_owned();
             self.become_state(&id.to_string(), State::Fault, &text);
             return Err(Refusal::ComponentFault { id, text });
         }
-        let mut states = self.states.lock().unwrap();
+        let mut states = self.states.lock();
         match change {
             Change::Create { component, .. } => states.insert(id.clone(), component.state),
             Change::Destroy { .. } => states.remove(&id),
@@ -357,14 +358,14 @@ impl Lcm for FakeLcm {
             Change::Run { to, .. } => states.insert(id.clone(), to),
             Change::Connect { .. } => None,
             Change::Disconnect { connection, .. } => {
-                if let Some(half) = self.halves.lock().unwrap().remove(&connection.id.0) {
+                if let Some(half) = self.halves.lock().remove(&connection.id.0) {
                     let _ = self.news.send(News::Half(HalfReport { proxy: None, ..half }));
                 }
                 None
             }
         };
         let now = states.get(&id).copied().unwrap_or(State::Created);
-        let ports = self.ports.lock().unwrap().get(&asked).cloned();
+        let ports = self.ports.lock().get(&asked).cloned();
         Ok(Report { ports, ..report(&id, now) })
     }
 
@@ -374,7 +375,7 @@ impl Lcm for FakeLcm {
         let end = if here(&connection.client) { End::Client } else { End::Server };
         let number = connection.id.0;
         let asked = text::asked(&Change::Connect { connection: connection.clone() });
-        if self.unreachable.lock().unwrap().contains(&asked) {
+        if self.unreachable.lock().contains(&asked) {
             let Connection { client, server, .. } = connection;
             return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
         }
@@ -382,7 +383,7 @@ impl Lcm for FakeLcm {
         let proxy =
             Proxy { process: self.process.clone(), epoch: 1, why: String::new(), carrier: "memfd".into() };
         let half = HalfReport { connection: number, end, proxy: Some(proxy) };
-        self.halves.lock().unwrap().insert(number, half.clone());
+        self.halves.lock().insert(number, half.clone());
         let _ = self.news.send(News::Half(half));
         Ok(done)
     }
@@ -392,7 +393,7 @@ impl Lcm for FakeLcm {
             return Err(Refusal::MemberNotFound { member: call.member, known: vec!["write".into()] });
         }
         // A call is followed by an event at once; a listener that comes too late has missed it.
-        for feed in self.feeds.lock().unwrap().iter() {
+        for feed in self.feeds.lock().iter() {
             let _ = feed.try_send(event(&format!("{}/a/arm/moved", self.process), 77));
         }
         let value = match call.arg {
@@ -427,7 +428,7 @@ impl Lcm for FakeLcm {
 
     async fn subscribe(&self, _: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
         let (tell, told) = mpsc::channel(16);
-        self.feeds.lock().unwrap().push(tell);
+        self.feeds.lock().push(tell);
         self.followed.send_modify(|n| *n += 1);
         Ok(told)
     }
@@ -450,7 +451,7 @@ impl Lcm for FakeLcm {
         if let Some(given) = given {
             self.phases.send_replace(given.into_iter().collect());
         }
-        Ok(self.takes.lock().unwrap().clone())
+        Ok(self.takes.lock().clone())
     }
 
     async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal> {
@@ -464,7 +465,7 @@ impl Lcm for FakeLcm {
     }
 
     async fn inventory(&self) -> Result<Inventory, Refusal> {
-        let states = self.states.lock().unwrap();
+        let states = self.states.lock();
         Ok(Inventory {
             card: Some(Card {
                 process: self.process.to_string(),
@@ -476,7 +477,7 @@ impl Lcm for FakeLcm {
             }),
             components: states.iter().map(|(id, s)| report(id, *s)).collect(),
             classes: vec![class()],
-            halves: self.halves.lock().unwrap().values().cloned().collect(),
+            halves: self.halves.lock().values().cloned().collect(),
             warnings: Warnings::default(),
         })
     }

@@ -13,7 +13,6 @@ use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGr
 
 use super::Gcm;
 use super::changes::UNDO;
-use super::lock::lock;
 use super::sessions::{Registration, Sessions};
 
 impl Gcm {
@@ -55,7 +54,7 @@ impl Gcm {
     async fn away(&self, process: &Name, card: Option<Card>) -> Refusal {
         let mut graphs = self.watch();
         // The sender lives as long as this GCM.
-        let _ = graphs.wait_for(|_| lock(&self.inner.sessions).card(process) != card).await;
+        let _ = graphs.wait_for(|_| self.inner.sessions.lock().card(process) != card).await;
         Refusal::lost(process.clone())
     }
 
@@ -138,7 +137,7 @@ impl Gcm {
     fn card_of(&self, connection: &Connection, process: &Name) -> Result<Card, Refusal> {
         // A process that is not heard now has told nothing that is still true.
         self.lcm_of(process)?;
-        let card = lock(&self.inner.sessions).card(process);
+        let card = self.inner.sessions.lock().card(process);
         card.ok_or_else(|| Refusal::Unreachable {
             client: connection.client.clone(),
             server: connection.server.clone(),

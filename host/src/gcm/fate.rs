@@ -10,7 +10,6 @@ use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph, Warning
 use super::Gcm;
 use super::far::awaited;
 use super::heard::said_lost;
-use super::lock::lock;
 
 /// State of a process, as its supervisor tells it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,7 +43,7 @@ impl Gcm {
     pub fn told(&self, told: &Told) {
         let (mut cut, mut strays, mut lost, mut dismissed) = (Vec::new(), Vec::new(), None, false);
         self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
+            let mut sessions = self.inner.sessions.lock();
             // Another incarnation or a foreign process is here; or the process was taken down after this was
             // told.
             if sessions.pid(&told.process).is_some_and(|pid| pid != told.pid)

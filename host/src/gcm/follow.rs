@@ -12,7 +12,6 @@ use trocar_lcm_api::{HalfReport, Inventory, Lcm, News};
 use trocar_model::{Connection, ConnectionId, Name, SystemGraph};
 
 use super::Gcm;
-use super::lock::lock;
 use super::manager::Inner;
 use super::observed::{observe, stand_by};
 
@@ -130,7 +129,7 @@ fn enter(
 ) -> bool {
     match news {
         News::State(report) => {
-            let is_newest = lock(&gcm.inner.sessions).is_newest(&report);
+            let is_newest = gcm.inner.sessions.lock().is_newest(&report);
             let graph = Arc::make_mut(graph);
             let known = graph.components.get(&report.id).cloned();
             loose.extend(observe(graph, &report));

@@ -3,10 +3,11 @@
 //! Invariant: nothing is ever called at a guest; a required interface goes with its connection.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Instant;
 
 use async_trait::async_trait;
+use parking_lot::Mutex;
 use tokio::sync::{broadcast, mpsc, watch};
 use trocar_lcm_api::{
     Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
@@ -15,8 +16,6 @@ use trocar_lcm_api::{
 use trocar_model::{
     Change, ComponentId, Event, Function, Handler, Health, Name, Ports, Provided, Refusal, Required, State,
 };
-
-use super::lock::lock;
 
 /// Most required interfaces of a guest.
 const MOST_REQUIRED: usize = 256;
@@ -90,7 +89,7 @@ impl GuestLcm {
     }
 
     pub(super) fn report(&self) -> Report {
-        lock(&self.stands).report()
+        self.stands.lock().report()
     }
 
     /// Becomes true when the component was removed from outside.
@@ -101,7 +100,7 @@ impl GuestLcm {
     /// Adds a required interface with everything of a provided one. Without a wanted name it takes the
     /// provided one's name, or that name with the first free number.
     pub(super) fn add(&self, name: Option<Name>, provided: &Provided) -> Result<Name, Refusal> {
-        let mut stands = lock(&self.stands);
+        let mut stands = self.stands.lock();
         let taken = |name: &Name| stands.ports.required.iter().any(|r| *name == r.name.as_str());
         if stands.ports.required.len() >= MOST_REQUIRED {
             let why = format!(
@@ -124,7 +123,7 @@ impl GuestLcm {
     }
 
     pub(super) fn take(&self, name: &Name) {
-        let mut stands = lock(&self.stands);
+        let mut stands = self.stands.lock();
         Arc::make_mut(&mut stands.ports).required.retain(|r| *name != r.name.as_str());
         self.tell(&mut stands);
     }
@@ -135,7 +134,7 @@ impl GuestLcm {
     }
 
     fn nothing_there<T>(&self) -> Result<T, Refusal> {
-        let id = lock(&self.stands).id.clone();
+        let id = self.stands.lock().id.clone();
         Err(Refusal::ComponentRefused {
             entry: "call",
             text: "it is a guest: it uses others and offers nothing itself".into(),
@@ -180,7 +179,7 @@ fn mirror(name: &Name, provided: &Provided) -> Required {
 #[async_trait]
 impl Lcm for GuestLcm {
     async fn apply(&self, change: Change, _: Instant) -> Result<Report, Refusal> {
-        let mut stands = lock(&self.stands);
+        let mut stands = self.stands.lock();
         match change {
             Change::Create { .. } | Change::Configure { .. } => {
                 return Err(Refusal::ComponentRefused {

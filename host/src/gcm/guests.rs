@@ -15,7 +15,6 @@ use trocar_model::{
 
 use super::fate::dismiss;
 use super::guest_lcm::{GuestLcm, invalid, numbered};
-use super::lock::lock;
 use super::sessions::{Registered, Registration, Slice};
 use super::{ExecuteOptions, Gcm};
 
@@ -97,7 +96,7 @@ impl Gcm {
             let inventory = Inventory { components: vec![lcm.report()], ..Inventory::default() };
             match self.register(who, lcm.clone(), inventory).await {
                 Ok(registered) => {
-                    lock(&self.inner.sessions).guests.insert(component.process.clone(), lcm.clone());
+                    self.inner.sessions.lock().guests.insert(component.process.clone(), lcm.clone());
                     return Ok(Joined { gcm: self.clone(), lcm, component, registered });
                 }
                 // Another one has taken the name since.
@@ -121,7 +120,7 @@ impl Gcm {
     ) -> Result<Requirement, Refusal> {
         let graph = self.graph();
         graph.component(component)?;
-        let Some(lcm) = lock(&self.inner.sessions).guests.get(&component.process).cloned() else {
+        let Some(lcm) = self.inner.sessions.lock().guests.get(&component.process).cloned() else {
             let why = format!(
                 "{component} has the required interfaces of its class: connect those; only guests (Join) add others"
             );
@@ -165,7 +164,7 @@ impl Gcm {
     fn leave(&self, process: &Name, session: u64) {
         let mut left = false;
         self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
+            let mut sessions = self.inner.sessions.lock();
             left = sessions.holder(process) == Some(session);
             if left {
                 sessions.dismiss(process, 0);

@@ -10,7 +10,6 @@ use trocar_lcm_api::Lcm;
 use trocar_model::{Name, Refusal};
 
 use super::Gcm;
-use super::lock::lock;
 
 /// Longest wait until the news of an LCM is entered: it lies here already, unless some was lost and is asked
 /// for again.
@@ -21,7 +20,7 @@ impl Gcm {
     /// session.
     pub fn lost(&self, process: &Name, session: u64) {
         let mut epoch = None;
-        self.edit(|graph| epoch = lock(&self.inner.sessions).lose(graph, process, session));
+        self.edit(|graph| epoch = self.inner.sessions.lock().lose(graph, process, session));
         said_lost(process, epoch);
     }
 
@@ -30,7 +29,7 @@ impl Gcm {
     /// # Errors
     /// ProcessNotFound, ProcessLost.
     pub fn lcm_of(&self, process: &Name) -> Result<Arc<dyn Lcm>, Refusal> {
-        if let Some(lcm) = lock(&self.inner.sessions).lcm(process) {
+        if let Some(lcm) = self.inner.sessions.lock().lcm(process) {
             return Ok(lcm);
         }
         let graph = self.graph();
@@ -41,7 +40,7 @@ impl Gcm {
     /// answers. So a caller that passes on a refusal after this can be sure that the next look shows its
     /// result, a FAULT for one.
     pub async fn hear_out(&self, process: &Name) {
-        let asks = lock(&self.inner.sessions).asks(process);
+        let asks = self.inner.sessions.lock().asks(process);
         let Some(asks) = asks else { return };
         let entered = async {
             let (tell, told) = oneshot::channel();
@@ -56,7 +55,7 @@ impl Gcm {
 
     /// True while that session of the process is the one that counts.
     pub fn hears(&self, process: &Name, session: u64) -> bool {
-        lock(&self.inner.sessions).holder(process) == Some(session)
+        self.inner.sessions.lock().holder(process) == Some(session)
     }
 }
 

@@ -8,7 +8,6 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use trocar_model::{ComponentId, Refusal, Request};
 
-use super::lock::lock;
 use super::{ExecuteOptions, Gcm};
 
 /// Pause before a removal that failed is tried again, for one because the process is lost.
@@ -35,7 +34,7 @@ impl Gcm {
     /// # Errors
     /// There are too many holds.
     pub fn hold(&self, component: ComponentId, identity: String) -> Result<Held, Refusal> {
-        let over = lock(&self.inner.holds).hold(&component)?;
+        let over = self.inner.holds.lock().hold(&component)?;
         Ok(Held { gcm: self.clone(), component, identity, over })
     }
 }
@@ -50,7 +49,7 @@ impl Held {
 
     /// The holder goes and the component stays.
     pub fn let_go(self) {
-        let mut holds = lock(&self.gcm.inner.holds);
+        let mut holds = self.gcm.inner.holds.lock();
         // Under the lock: no other call holds it now.
         if !self.is_over() {
             holds.removed(&self.component);

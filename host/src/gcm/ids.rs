@@ -9,9 +9,9 @@ use std::fs;
 use std::io::{self, Write};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 /// The file could not be read or written.
@@ -79,12 +79,12 @@ impl Ids {
     }
 
     pub(super) fn term(&self) -> u64 {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner).term
+        self.kept.lock().term
     }
 
     /// A number no process had before; on the disk before it is given out.
     pub(super) fn next_epoch(&self) -> Result<u64, IdsError> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.kept.lock();
         let next = Kept { next_epoch: kept.next_epoch + 1, ..*kept };
         self.write(next)?;
         *kept = next;
@@ -94,13 +94,13 @@ impl Ids {
     /// Tells whether some GCM may have given this number out; otherwise a caller made it up, and counting on
     /// from it would soon end.
     pub(super) fn may_be(&self, epoch: u64) -> bool {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.kept.lock();
         epoch != 0 && epoch <= kept.next_epoch.saturating_add(AHEAD)
     }
 
     /// A number that was given out before, by this GCM or one before it, and is kept from now on, too.
     pub(super) fn not_below(&self, epoch: u64) -> Result<u64, IdsError> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.kept.lock();
         if kept.next_epoch < epoch {
             let next = Kept { next_epoch: epoch, ..*kept };
             self.write(next)?;

@@ -3,8 +3,8 @@
 //! Invariant: no follower sees a line twice or misses one between the kept and the coming ones.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, PoisonError};
 
+use parking_lot::Mutex;
 use tokio::sync::broadcast;
 
 use trocar_lcm_api::LogLine;
@@ -28,7 +28,7 @@ impl Default for Lines {
 impl Lines {
     /// Adds the newest line.
     pub fn keep(&self, line: LogLine) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.kept.lock();
         if kept.len() == KEPT {
             kept.pop_front();
         }
@@ -39,7 +39,7 @@ impl Lines {
 
     /// The lines kept, oldest first, and what comes after them.
     pub fn tail(&self) -> (Vec<LogLine>, broadcast::Receiver<LogLine>) {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.kept.lock();
         (kept.iter().cloned().collect(), self.live.subscribe())
     }
 }

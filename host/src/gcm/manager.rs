@@ -3,9 +3,10 @@
 //! Invariant: every edit of the graph is one closure under the watch channel's lock, so readers see whole
 //! states only; the revision grows by one per accepted request that changed something, and by nothing else.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 

@@ -12,7 +12,6 @@ mod holds;
 mod ids;
 mod isolation;
 mod lines;
-mod lock;
 mod requests;
 mod sessions;
 mod text;

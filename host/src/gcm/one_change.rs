@@ -8,7 +8,6 @@ use trocar_lcm_api::Report;
 use trocar_model::{Change, Component, Plan, Refusal};
 
 use super::changes::id_of;
-use super::lock::lock;
 use super::observed::{observe, stand_by};
 use super::{Gcm, text};
 
@@ -45,7 +44,7 @@ impl Gcm {
         };
         let mut loose = Vec::new();
         self.edit(|graph| {
-            let is_newest = lock(&self.inner.sessions).is_newest(&report);
+            let is_newest = self.inner.sessions.lock().is_newest(&report);
             let known = graph.components.get(&report.id).cloned();
             let revision = graph.revision;
             graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
@@ -56,7 +55,7 @@ impl Gcm {
             }
         });
         if let Change::Destroy { id, .. } = change {
-            lock(&self.inner.holds).removed(id);
+            self.inner.holds.lock().removed(id);
         }
         self.cut_off(loose);
         Ok(report)

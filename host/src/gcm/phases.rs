@@ -11,7 +11,6 @@ use tokio::task::JoinSet;
 use trocar_model::{ComponentId, Name, Phase, Refusal, StepTimes, SystemGraph, phases, steps_matter};
 
 use super::Gcm;
-use super::lock::lock;
 
 /// Time between two looks at what steps take, while samples pass between components of one grid; also the
 /// time until an LCM that did not answer is asked again.
@@ -171,7 +170,7 @@ fn told(order: &Order, answer: Option<Result<StepTimes, Refusal>>) {
 
 /// Processes that are heard and have components with a period.
 fn sessions(gcm: &Gcm, graph: &SystemGraph) -> BTreeMap<Name, u64> {
-    let sessions = lock(&gcm.inner.sessions);
+    let sessions = gcm.inner.sessions.lock();
     let timed = graph.components.iter().filter(|(_, c)| c.execution.period_ns.is_some());
     timed.filter_map(|(id, _)| Some((id.process.clone(), sessions.holder(&id.process)?))).collect()
 }

@@ -14,7 +14,6 @@ use trocar_model::{
 use super::Gcm;
 use super::far::settle;
 use super::follow::follow;
-use super::lock::lock;
 use super::observed::{loosen, observe};
 use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
 
@@ -40,12 +39,12 @@ impl Gcm {
         let claimed = {
             // Taken before the lock: an editor of the graph may take the lock of the sessions inside.
             let (graph, card) = (self.graph(), inventory.card.clone());
-            lock(&self.inner.sessions).claim(&graph, &self.inner.ids, &who, lcm.clone(), asks, card)?
+            self.inner.sessions.lock().claim(&graph, &self.inner.ids, &who, lcm.clone(), asks, card)?
         };
         let Claimed { session, epoch, back } = claimed;
         let mut taken = TakenIn::default();
         self.edit(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
+            let mut sessions = self.inner.sessions.lock();
             // Its end was told, or it was replaced, while it was taken in.
             if sessions.holder(&who.process) == Some(session) {
                 taken = take_in(&mut sessions, graph, &who, &claimed, inventory);

@@ -15,7 +15,6 @@ use trocar_model::{
 use super::Gcm;
 use super::carrying::Carrying;
 use super::changes::id_of;
-use super::lock::lock;
 use super::text;
 
 /// Time for one connection to another process, which may end in the middle of it.
@@ -48,7 +47,7 @@ impl Gcm {
     /// Makes the components anew that a process was to have and has not, in its session `session`.
     pub(super) async fn restore(self, process: Name, session: u64, here: Here) {
         let decide = |graph: &SystemGraph| {
-            let wanted = lock(&self.inner.sessions).wanted.of(graph, &process);
+            let wanted = self.inner.sessions.lock().wanted.of(graph, &process);
             Ok(restore(graph, &process, &wanted, &here))
         };
         let (claim, plan) = loop {
@@ -182,7 +181,7 @@ impl Gcm {
         loop {
             let mut owed = Vec::new();
             self.edit(|graph| {
-                let mut sessions = lock(&self.inner.sessions);
+                let mut sessions = self.inner.sessions.lock();
                 if sessions.holder(process) != Some(session) {
                     return;
                 }

@@ -13,7 +13,6 @@ use trocar_model::{Change, ComponentId, Plan, ProcessState, Refusal, Request, St
 
 use super::answer::{Answer, Executed};
 use super::changes::{id_of, names};
-use super::lock::lock;
 use super::wanted::RESTARTED;
 use super::{Gcm, text};
 
@@ -141,7 +140,7 @@ impl Gcm {
     pub(super) fn keep_stopped(&self, targets: &[Target]) -> bool {
         let mut noted = false;
         self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
+            let mut sessions = self.inner.sessions.lock();
             let stopped =
                 graph.components.iter().filter(|(id, _)| targets.iter().any(|target| names(target, id)));
             for (id, component) in stopped {
@@ -165,14 +164,14 @@ impl Gcm {
     /// Stops a component. If its process goes away meanwhile, it is stopped when that process comes back.
     pub(super) async fn stop_one(&self, stop: &Change, deadline: Instant) -> Result<Report, Refusal> {
         let id = id_of(stop);
-        let asked = lock(&self.inner.sessions).holder(&id.process);
+        let asked = self.inner.sessions.lock().holder(&id.process);
         let lost = match self.one(stop, deadline).await {
             Err(lost @ Refusal::ProcessLost { .. }) => lost,
             done => return done,
         };
         let mut is_back = false;
         self.edit_if(|graph| {
-            let mut sessions = lock(&self.inner.sessions);
+            let mut sessions = self.inner.sessions.lock();
             let holder = sessions.holder(&id.process);
             is_back = holder.is_some() && holder != asked;
             if let Some(component) = graph.components.get(id).filter(|_| !is_back) {
@@ -196,7 +195,7 @@ impl Gcm {
                     Err(refusal) => log::error!("{id} cannot be stopped: {refusal}"),
                     Ok(_) => {}
                 }
-                let mut sessions = lock(&gcm.inner.sessions);
+                let mut sessions = gcm.inner.sessions.lock();
                 if sessions.holder(&id.process) == Some(session) {
                     sessions.wanted.stands(&id);
                 }

@@ -11,7 +11,6 @@ use trocar_model::{ComponentId, Name, Refusal};
 
 use super::Gcm;
 use super::answer::{Answer, ExecuteOptions, Executed};
-use super::lock::lock;
 use crate::system_file::{Difference, Running, SystemFile};
 
 /// Comparisons of a system that others change meanwhile, at most.
@@ -56,7 +55,7 @@ impl Gcm {
     }
 
     fn held(&self) -> BTreeSet<ComponentId> {
-        lock(&self.inner.holds).all()
+        self.inner.holds.lock().all()
     }
 
     /// Compares the system with the text of a system file; returns the revision, too.

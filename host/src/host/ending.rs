@@ -3,11 +3,12 @@
 //! Invariant: a thread made with the host ends it, on a clock of its own. Ending therefore needs no runtime,
 //! no new thread, and no caller that waits for it.
 
+use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use trocar_loader::WatchHandle;
@@ -73,7 +74,7 @@ impl Ending {
     }
 
     pub(super) fn running(&self) -> MutexGuard<'_, Running> {
-        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+        self.running.lock()
     }
 
     pub(super) fn has_ended(&self) -> bool {
@@ -91,7 +92,7 @@ impl Ending {
     /// As `end`, but blocks, since the caller may be a thread of a runtime, and gives up after a while.
     pub(super) fn end_now(&mut self) {
         let _ = self.order.send(How::Abrupt);
-        let alive = self.alive.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let alive = self.alive.get_mut();
         if alive.recv_timeout(DROPPED) == Err(RecvTimeoutError::Timeout) {
             log::error!(
                 "the dropped host has not ended within {} s and is left to end by itself",
@@ -104,7 +105,7 @@ impl Ending {
 async fn end(running: &Mutex<Running>, how: How) {
     let_go_of_descriptors();
     let (lcm, uplink, server, watch, announced, state) = {
-        let mut r = running.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut r = running.lock();
         let r = &mut *r;
         let state = r.state.clone();
         (r.lcm.take(), r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)

@@ -11,9 +11,9 @@ use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use parking_lot::Mutex;
 use trocar_loader::Hash;
 use trocar_rt::os::{Unshared, unshared};
 
@@ -125,7 +125,7 @@ impl StateDir {
 
     /// Leaves the directory to others; removes an ephemeral one.
     pub(super) fn release(&self) {
-        let hold = self.hold.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let hold = self.hold.lock().take();
         if hold.is_some() && self.goes.load(Ordering::Relaxed) {
             // Best effort: the system cleans its temporary files.
             let _ = fs::remove_dir_all(&self.path);

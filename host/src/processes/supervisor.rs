@@ -1,8 +1,8 @@
 //! All supervised processes of this one, and their status.
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use parking_lot::Mutex;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
@@ -15,6 +15,7 @@ use super::{Exit, Program};
 #[derive(Default)]
 pub struct Supervisor {
     board: Board,
+    /// Never held while anything is waited for.
     kept: Mutex<BTreeMap<String, Kept>>,
 }
 
@@ -29,7 +30,7 @@ impl Supervisor {
     /// Spawns a process and keeps it. A name that is kept already stays as it is.
     pub fn start(&self, program: Program) {
         let name = program.name.clone();
-        let mut kept = self.kept();
+        let mut kept = self.kept.lock();
         if kept.contains_key(&name) {
             return;
         }
@@ -51,7 +52,7 @@ impl Supervisor {
     /// Reports that the incarnation with this number is of no use, and why: it is asked to end, soon killed,
     /// and treated as one that failed.
     pub fn put_down(&self, name: &str, pid: u32, why: String) {
-        if let Some(kept) = self.kept().get(name) {
+        if let Some(kept) = self.kept.lock().get(name) {
             // A process that was given up takes no orders.
             let _ = kept.put_down.send((pid, why));
         }
@@ -60,7 +61,7 @@ impl Supervisor {
     /// Ends the process, if it runs, and starts it again with a clean record; also one that was given up or
     /// has ended.
     pub fn again(&self, name: &str) {
-        if let Some(kept) = self.kept().get(name) {
+        if let Some(kept) = self.kept.lock().get(name) {
             // A process that was asked to end takes no orders.
             let _ = kept.again.send(());
         }
@@ -68,14 +69,14 @@ impl Supervisor {
 
     /// Asks the process to end and does not wait: its status says when it has.
     pub fn ask_to_end(&self, name: &str) {
-        if let Some(kept) = self.kept().get(name) {
+        if let Some(kept) = self.kept.lock().get(name) {
             kept.down.send_replace(true);
         }
     }
 
     /// Forgets a process that has ended or was given up: its name is free, and it has no status any more.
     pub fn forget(&self, name: &str) {
-        if let Some(kept) = self.kept().remove(name) {
+        if let Some(kept) = self.kept.lock().remove(name) {
             kept.task.abort();
         }
         self.board.forget(name);
@@ -88,7 +89,7 @@ impl Supervisor {
         }
         let mut failed = Vec::new();
         for name in names {
-            let kept = self.kept().remove(name);
+            let kept = self.kept.lock().remove(name);
             if let Some(kept) = kept {
                 // A keeper that panicked has let go of its child, which ends by itself.
                 let exit = kept.task.await.unwrap_or_default();
@@ -97,16 +98,11 @@ impl Supervisor {
         }
         failed
     }
-
-    /// Never held while anything is waited for, and nothing in it is half changed.
-    fn kept(&self) -> MutexGuard<'_, BTreeMap<String, Kept>> {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl Drop for Supervisor {
     fn drop(&mut self) {
-        for kept in self.kept().values() {
+        for kept in self.kept.lock().values() {
             kept.task.abort();
         }
     }

@@ -1,7 +1,8 @@
 //! Way of a good plugin file: listed without running, loaded once, found by both names.
 
+use parking_lot::Mutex;
+
 use super::*;
-use std::sync::Mutex;
 
 #[test]
 fn a_plugin_is_listed_described_and_loaded() {
@@ -151,7 +152,7 @@ fn what_a_plugin_prints_while_it_is_tried_out_does_not_disturb_the_verdict() {
 fn a_plugin_logs_to_the_stores_log_under_its_name() {
     static LINES: Mutex<Vec<String>> = Mutex::new(Vec::new());
     fn take(plugin: &str, level: u32, target: &str, message: &str) {
-        LINES.lock().unwrap().push(format!("{plugin} {level} {target} {message}"));
+        LINES.lock().push(format!("{plugin} {level} {target} {message}"));
     }
     let host = host_table::for_plugin("probe", take, 0);
     let text = |s: &'static str| trocar_plugin_api::abi::Bytes { ptr: s.as_ptr(), len: s.len() };
@@ -159,7 +160,7 @@ fn a_plugin_logs_to_the_stores_log_under_its_name() {
     let host = unsafe { &*host };
     // SAFETY: called as the contract says.
     unsafe { (host.log)(host.ctx, trocar_plugin_api::abi::LOG_WARN, text("filter"), text("late")) };
-    assert_eq!(*LINES.lock().unwrap(), ["probe 2 filter late"]);
+    assert_eq!(*LINES.lock(), ["probe 2 filter late"]);
     // SAFETY: as above.
     assert!(unsafe { (host.now_ns)(host.ctx) } > 0);
 }

@@ -4,11 +4,12 @@
 //! Invariant: no call outlives its deadline or the stream; an order without a waiting caller is forgotten.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
+use parking_lot::Mutex;
 use tokio::sync::{broadcast, mpsc, oneshot};
 use tonic::Status;
 use trocar_model::{Change, ComponentId, Name, Phase, Refusal, StepTimes, Warnings};
@@ -67,7 +68,7 @@ struct Forget<'a>(&'a RemoteLcm, u64);
 
 impl Drop for Forget<'_> {
     fn drop(&mut self) {
-        if let Some(link) = self.0.link().as_mut()
+        if let Some(link) = self.0.link.lock().as_mut()
             && matches!(link.waiting.get(&self.1), Some(Waiting::Answer(..)))
         {
             link.waiting.remove(&self.1);
@@ -87,7 +88,7 @@ impl RemoteLcm {
             Some(attach_request::Message::Answer(answer)) => self.answered(answer),
             Some(attach_request::Message::News(news)) => match news_in(news) {
                 Ok(news) => {
-                    if let Some(link) = self.link().as_ref() {
+                    if let Some(link) = self.link.lock().as_ref() {
                         // The GCM that listens may just be letting go.
                         let _ = link.news.send(news);
                     }
@@ -103,11 +104,7 @@ impl RemoteLcm {
 
     /// Tells every waiting caller that the process is lost.
     pub(super) fn close(&self) {
-        self.link().take();
-    }
-
-    fn link(&self) -> MutexGuard<'_, Option<Link>> {
-        lock(&self.link)
+        self.link.lock().take();
     }
 
     fn lost(&self) -> Refusal {
@@ -115,7 +112,7 @@ impl RemoteLcm {
     }
 
     fn answered(&self, answer: v1::Answer) {
-        let mut guard = self.link();
+        let mut guard = self.link.lock();
         let Some(link) = guard.as_mut() else { return };
         let Some(what) = answer.answer else { return };
         match (what, link.waiting.remove(&answer.id)) {
@@ -155,7 +152,7 @@ impl RemoteLcm {
     ) -> Result<A, Refusal> {
         let (tell, told) = oneshot::channel();
         let out = {
-            let mut guard = self.link();
+            let mut guard = self.link.lock();
             let link = guard.as_mut().ok_or_else(|| self.lost())?;
             link.waiting.insert(id, Waiting::Answer(tell, feed));
             link.out.clone()
@@ -188,10 +185,6 @@ pub(super) fn message(message: attach_response::Message) -> v1::AttachResponse {
     v1::AttachResponse { message: Some(message) }
 }
 
-fn lock(link: &Mutex<Option<Link>>) -> MutexGuard<'_, Option<Link>> {
-    link.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Gives a feed up as soon as its follower is gone, also a feed that is only asked for. Its own sender does
 /// not outlive the feed, or the receiver would never end.
 async fn mind(
@@ -205,7 +198,7 @@ async fn mind(
         by_process = ended => if by_process.is_ok() { return },
         () = tell.closed() => {}
     }
-    let out = lock(&link).as_mut().map(|link| {
+    let out = link.lock().as_mut().map(|link| {
         link.waiting.remove(&id);
         link.out.clone()
     });
@@ -370,7 +363,7 @@ impl Lcm for RemoteLcm {
     }
 
     fn news(&self) -> broadcast::Receiver<News> {
-        match self.link().as_ref() {
+        match self.link.lock().as_ref() {
             Some(link) => link.news.subscribe(),
             // A channel that has ended.
             None => broadcast::channel(1).1,
@@ -398,7 +391,7 @@ mod tests {
     }
 
     fn waiting(lcm: &RemoteLcm) -> usize {
-        lcm.link().as_ref().unwrap().waiting.len()
+        lcm.link.lock().as_ref().unwrap().waiting.len()
     }
 
     fn asked(lcm: &Arc<RemoteLcm>) -> tokio::task::JoinHandle<Result<mpsc::Receiver<Item>, Refusal>> {

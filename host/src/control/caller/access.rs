@@ -3,7 +3,7 @@
 //! Invariant: a method that is not listed changes something, so a new method is refused to callers that only
 //! read until it is put on a list.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -12,6 +12,7 @@ use axum::http::header::AUTHORIZATION;
 use axum::middleware::Next;
 use axum::response::Response;
 use http_body_util::BodyExt;
+use parking_lot::Mutex;
 use tokio::sync::Semaphore;
 use tonic::Status;
 use trocar_links::Seldom;
@@ -133,11 +134,7 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
     match request.extensions().get::<OnlyReads>() {
         Some(limit) if !READING.contains(&asked) => {
             let refusal = limit.refusal(asked.rsplit('/').next().unwrap_or_default().to_owned());
-            access
-                .refused
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .warn(now_ns(), &refusal.to_string());
+            access.refused.lock().warn(now_ns(), &refusal.to_string());
             status(&refusal).into_http::<Body>()
         }
         Some(OnlyReads::Caller { .. }) => match access.readers.clone().try_acquire_owned() {

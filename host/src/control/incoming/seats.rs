@@ -6,10 +6,11 @@
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 
+use parking_lot::Mutex;
 use rustix::process::{Resource, getrlimit};
 use tokio::sync::oneshot;
 
@@ -69,7 +70,7 @@ impl Seats {
     /// apart. If the host's own user has none left, one of its own silent callers gives way.
     pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
         if let Some(user) = guest {
-            let mut guests = self.guests.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut guests = self.guests.lock();
             let all: usize = guests.values().sum();
             let own = guests.get(&user).copied().unwrap_or(0);
             if all >= GUESTS || own >= OF_ONE {
@@ -82,24 +83,20 @@ impl Seats {
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (keep, given_up) = oneshot::channel();
-        self.silent().insert(number, Silent { _keep: keep, is_guest: guest.is_some() });
+        self.silent.lock().insert(number, Silent { _keep: keep, is_guest: guest.is_some() });
         Some(Seat { seats: self.clone(), number, life: Life::Silent(given_up), guest })
     }
 
     /// Lets go of the caller that has been silent longest; false: all of them have said something.
     pub(super) fn give_up_one(&self) -> bool {
-        self.silent().pop_first().is_some()
+        self.silent.lock().pop_first().is_some()
     }
 
     /// The same among callers of the host's own user: other users have places of their own.
     fn give_up_an_own_one(&self) -> bool {
-        let mut silent = self.silent();
+        let mut silent = self.silent.lock();
         let first = silent.iter().find(|(_, caller)| !caller.is_guest).map(|(number, _)| *number);
         first.is_some_and(|number| silent.remove(&number).is_some())
-    }
-
-    fn silent(&self) -> std::sync::MutexGuard<'_, BTreeMap<u64, Silent>> {
-        self.silent.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -107,7 +104,7 @@ impl Seat {
     /// Marks that the caller keeps its place from now on.
     pub(super) fn speaks(&mut self) {
         self.life = Life::Speaks;
-        self.seats.silent().remove(&self.number);
+        self.seats.silent.lock().remove(&self.number);
     }
 
     /// Ready when it has to go, and ever after.
@@ -124,12 +121,12 @@ impl Seat {
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        self.seats.silent().remove(&self.number);
+        self.seats.silent.lock().remove(&self.number);
         let Some(user) = self.guest else {
             self.seats.own.fetch_sub(1, Ordering::Relaxed);
             return;
         };
-        let mut guests = self.seats.guests.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut guests = self.seats.guests.lock();
         let left = guests.get(&user).map_or(0, |own| own - 1);
         if left == 0 {
             guests.remove(&user);
@@ -197,7 +194,7 @@ mod tests {
         guests.extend(rest.take(2 * GUESTS));
         assert_eq!(guests.len(), GUESTS, "and all of them together");
         guests.clear();
-        assert!(seats.guests.lock().unwrap().is_empty());
+        assert!(seats.guests.lock().is_empty());
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //!
 //! Invariant: a call has its place before its first cost, and gives it back however it ends.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tonic::Status;
 use trocar_links::Seldom;
@@ -66,7 +67,7 @@ impl Places {
             let Places { calls, instead, .. } = self;
             let said =
                 format!("{STANDING} {calls} are open at this port, which is the most: end some of those calls{instead}");
-            let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut refused = self.refused.lock();
             refused.warn(now_ns(), &format!("a call was refused: {said}"));
             Status::resource_exhausted(said)
         })

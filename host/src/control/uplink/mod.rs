@@ -11,7 +11,7 @@ mod tests;
 
 use std::error::Error;
 use std::fmt;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, oneshot};
@@ -206,7 +206,7 @@ impl Tie {
     }
 
     fn slice(&self) -> Slice {
-        let told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        let told = self.told.lock();
         Slice {
             components: told.components.iter().map(|(id, c)| (id.clone(), c.clone())).collect(),
             connections: told.connections.values().cloned().collect(),

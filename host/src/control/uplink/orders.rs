@@ -4,9 +4,10 @@
 //! with a refusal.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use tokio::sync::{RwLock, mpsc};
 use tokio::task::{AbortHandle, JoinSet};
 use trocar_model::{Change, ComponentId, MemberId, Plan, Refusal, SystemGraph};
@@ -111,7 +112,7 @@ async fn apply(
 ) -> Result<v1::ComponentReport, Refusal> {
     let change = convert::change_in(change)?;
     let report = lcm.apply(change.clone(), deadline).await?;
-    let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut told = told.lock();
     told.apply(&Plan { changes: vec![change], skipped: Vec::new() });
     observe(&mut told, &report);
     Ok(convert::report(&report))
@@ -127,7 +128,7 @@ async fn link(
     let end = convert::far_in(end)?;
     let connection = end.connection.clone();
     let report = lcm.link(end, deadline).await?;
-    let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut told = told.lock();
     told.apply(&Plan { changes: vec![Change::Connect { connection }], skipped: Vec::new() });
     observe(&mut told, &report);
     Ok(convert::report(&report))

@@ -43,7 +43,7 @@ async fn a_chain_through_processes_has_one_order() {
     let (gcm, left) = system().await;
     let right = FakeLcm::new("right");
     register(&gcm, Registration::new(name("right"), "127.0.0.1:2".into()), right.clone()).await.unwrap();
-    left.takes.lock().unwrap().insert(id("host/a"), 200_000);
+    left.takes.lock().insert(id("host/a"), 200_000);
     let all = ["host/a", "right/b", "host/c"].map(beats);
     let wires = [connect("right/b/input", "host/a/value"), connect("host/c/input", "right/b/value")];
     ask(&gcm, [&all[..], &wires[..]].concat()).await.unwrap();
@@ -57,7 +57,7 @@ async fn a_process_that_is_back_is_given_its_phases_again() {
     let (gcm, lcm) = system().await;
     ask(&gcm, vec![beats("host/a"), beats("host/b"), connect("host/a/input", "host/b/value")]).await.unwrap();
     steps_at(&lcm, &[("host/a", 500_000)]).await;
-    let session = gcm.inner.sessions.lock().unwrap().holder(&name("host")).unwrap();
+    let session = gcm.inner.sessions.lock().holder(&name("host")).unwrap();
     gcm.lost(&name("host"), session);
     let anew = FakeLcm::new("host");
     register(&gcm, host(), anew.clone()).await.unwrap();
