@@ -6,11 +6,11 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io;
 
-use serde_json::{Map, Value, json};
-use trocar_model::{ConnectOptions, Execution, PortId, Queue, Refusal, Request, Target, Which};
+use serde_json::{Map, Value};
+use trocar_model::{ConnectOptions, Execution, PortId, Refusal, Request, Target, Which};
 
 use super::answer::Answer;
-use crate::system_file::words::spelled;
+use crate::system_file::words::{spelled, spelled_options};
 
 /// Longest request that is written whole, bytes.
 const MOST: usize = 4096;
@@ -128,39 +128,27 @@ fn paths<'a>(targets: &[Target]) -> Body<'a> {
 
 /// Returns the settings by the names of the system file; `None` when all is left to the class.
 fn settings(execution: &Execution) -> Option<Value> {
-    let set = spelled(execution).into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
-    let set: Map<String, Value> = set.collect();
-    (!set.is_empty()).then_some(Value::Object(set))
+    object(spelled(execution))
 }
 
+/// The same of a connection, with the one option that no file has.
 fn wire_options(options: &ConnectOptions) -> Option<Value> {
-    let mut body = Map::new();
-    let mut put = |key: &str, value: Option<Value>| {
-        if let Some(value) = value {
-            body.insert(key.to_owned(), value);
-        }
-    };
-    let queue = options.queue.map(|queue| match queue {
-        Queue::Latest => json!("latest"),
-        Queue::Fifo { depth, drop_oldest } => json!({ "fifo": depth, "drop_oldest": drop_oldest }),
-    });
-    let ms = |ns: Option<u64>| ns.map(|ns| json!(ns as f64 / 1e6));
-    put("queue", queue);
-    put("max_age_ms", ms(options.max_age_ns));
-    put("deadline_ms", ms(options.deadline_ns));
-    put("mailbox", options.mailbox.map(Value::from));
-    put("adapt", options.adapt.then_some(Value::Bool(true)));
-    put("delay", options.delay.then_some(Value::Bool(true)));
-    put("replace", options.replace.then_some(Value::Bool(true)));
-    put("carrier", (!options.carrier.is_empty()).then(|| options.carrier.as_str().into()));
-    (!body.is_empty()).then_some(Value::Object(body))
+    let replace = ("replace", options.replace.then_some(Value::Bool(true)));
+    object(spelled_options(options).into_iter().chain([replace]))
+}
+
+fn object(all: impl IntoIterator<Item = (&'static str, Option<Value>)>) -> Option<Value> {
+    let set = all.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
+    let set: Map<String, Value> = set.collect();
+    (!set.is_empty()).then_some(Value::Object(set))
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use trocar_model::ComponentId;
+    use serde_json::json;
+    use trocar_model::{ComponentId, Queue};
 
     use super::*;
 
@@ -179,9 +167,14 @@ mod tests {
         let connect = Request::Connect {
             client: PortId::parse("host/a/in").unwrap(),
             server: PortId::parse("host/b/out").unwrap(),
-            options: ConnectOptions { max_age_ns: Some(1_500_000), ..ConnectOptions::default() },
+            options: ConnectOptions {
+                queue: Some(Queue::Fifo { depth: 4, drop_oldest: true }),
+                max_age_ns: Some(1_500_000),
+                replace: true,
+                ..ConnectOptions::default()
+            },
         };
-        let want = r#"{"connect":{"client":"host/a/in","options":{"max_age_ms":1.5},"server":"host/b/out"}}"#;
+        let want = r#"{"connect":{"client":"host/a/in","options":{"max_age_ms":1.5,"queue":{"drop_oldest":true,"fifo":4},"replace":true},"server":"host/b/out"}}"#;
         assert_eq!(asked(std::slice::from_ref(&connect)), want);
         assert!(asked(&[stop, connect]).starts_with(r#"[{"stop""#), "several are a list");
     }

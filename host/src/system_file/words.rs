@@ -67,7 +67,7 @@ pub(crate) fn spelled(e: &Execution) -> [Spelled; 13] {
 }
 
 /// The same of the options of a connection.
-pub(super) fn spelled_options(o: &ConnectOptions) -> [Spelled; 7] {
+pub(crate) fn spelled_options(o: &ConnectOptions) -> [Spelled; 7] {
     let queue = o.queue.map(|queue| match queue {
         Queue::Latest => Value::from("latest"),
         Queue::Fifo { depth, drop_oldest: false } => serde_json::json!({ "fifo": depth }),
