@@ -157,6 +157,12 @@ export async function pictures_of_a_stream_are_shown_and_one_window_is_all_video
   is(await video.getAttribute('data-picture-of'), 'host/pip/composed', 'what goes into the display');
   await eventually('the video runs', async () => Number(await video.getAttribute('data-shown')) > 5);
   await shot(page, 'video');
+  const stale = page.locator('[data-stale]');
+  is(await stale.count(), 0, 'marks of a live picture');
+  await grpcurl(demo.addr, 'GcmService/Stop', { path: 'host/camera' });
+  await eventually('a picture that stands still is marked', async () => (await stale.count()) === 1 && /no picture for [1-9]/.test(await stale.innerText()));
+  await grpcurl(demo.addr, 'GcmService/Resume', { path: 'host/camera' });
+  await eventually('the next one is not', async () => (await stale.count()) === 0);
 }
 
 export async function an_event_that_is_followed_is_listed_with_path_and_value_in_order(world) {

@@ -274,6 +274,7 @@ async fn routes(
             .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET)
             .include_reflection_service(false)
     };
+    let pictures = Some(edge.clone());
     let mut services = Routes::builder();
     services
         .add_service(GcmServiceServer::new(edge.clone()))
@@ -290,5 +291,5 @@ async fn routes(
                 .max_encoding_message_size(MAX_MESSAGE),
         );
     }
-    Ok(web::with_page(services.routes(), access))
+    Ok(web::with_page(services.routes(), pictures, access))
 }

@@ -280,9 +280,18 @@ impl FakeLcm {
 
     /// Gives an item to every follower.
     pub(crate) async fn emit(&self, path: &str, n: u64) {
+        self.give(event(path, n)).await;
+    }
+
+    /// Gives a picture to every follower.
+    pub(crate) async fn picture(&self, path: &str, n: u64, jpeg: &[u8]) {
+        self.give(Item { kind: ItemKind::Stream, jpeg: jpeg.to_vec(), ..event(path, n) }).await;
+    }
+
+    async fn give(&self, item: Item) {
         let feeds = self.feeds.lock().clone();
         for feed in feeds {
-            let _ = feed.send(event(path, n)).await;
+            let _ = feed.send(item.clone()).await;
         }
     }
 

@@ -25,7 +25,7 @@ use crate::control::status::status;
 use crate::runtime_dir::RuntimeDir;
 
 /// Methods that change nothing. `Invoke` and `WaitFor` look at the command that is called: see [`OnlyReads`].
-const READING: [&str; 18] = [
+const READING: [&str; 19] = [
     "/trocar.v1.GcmService/Compare",
     "/trocar.v1.GcmService/Describe",
     "/trocar.v1.GcmService/GetState",
@@ -44,6 +44,7 @@ const READING: [&str; 18] = [
     "/grpc.health.v1.Health/Watch",
     "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
     "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+    "/video.mjpeg",
 ];
 
 /// The rule by which callers of a port are let in.
@@ -232,7 +233,7 @@ mod tests {
                 let mut services = Routes::builder();
                 let (tell, told) = mpsc::channel();
                 services.add_service(Says(tell));
-                let mut port = with_page(services.routes(), access(None));
+                let mut port = with_page(services.routes(), None, access(None));
                 let mut request = axum::http::Request::builder().method(&verb).version(version).uri(path);
                 request = request.header("host", "localhost:1");
                 request =

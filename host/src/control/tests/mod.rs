@@ -5,6 +5,7 @@ mod attach;
 mod edge;
 mod execution;
 mod refusals;
+mod video;
 mod waiting;
 
 use std::sync::Arc;
@@ -32,12 +33,16 @@ struct System {
 }
 
 async fn serve(listen: &str, gcm: Option<&Gcm>, local: Option<&Arc<FakeLcm>>) -> Server {
+    serve_by(PortRules::default(), listen, gcm, local).await
+}
+
+async fn serve_by(rules: PortRules, listen: &str, gcm: Option<&Gcm>, local: Option<&Arc<FakeLcm>>) -> Server {
     let config = ServeConfig {
         listen: listen.into(),
         gcm: gcm.cloned(),
         local: local.map(|lcm| (name("host"), lcm.clone() as Arc<dyn Lcm>)),
         managed_by: gcm.is_none().then(|| "127.0.0.1:50551".into()),
-        rules: PortRules::default(),
+        rules,
         runtime: None,
     };
     Server::start(config).await.unwrap()
@@ -49,10 +54,14 @@ async fn connect(server: &Server) -> Channel {
 
 impl System {
     async fn start() -> System {
+        System::start_with(PortRules::default()).await
+    }
+
+    async fn start_with(rules: PortRules) -> System {
         let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
         let inventory = lcm.inventory().await.unwrap();
         gcm.register(Registration::new(name("host"), String::new()), lcm.clone(), inventory).await.unwrap();
-        let server = serve("127.0.0.1:0", Some(&gcm), Some(&lcm)).await;
+        let server = serve_by(rules, "127.0.0.1:0", Some(&gcm), Some(&lcm)).await;
         let channel = connect(&server).await;
         System { gcm, lcm, server, channel }
     }

@@ -53,7 +53,9 @@ pub(super) async fn beside(Path(name): Path<String>) -> Response {
 
 fn file(name: &str, cache: &'static str) -> Response {
     let Some(found) = Built::get(name) else {
-        let said = format!("/{name} is not a file of the viewer, which is at /; the video is at /video.\n");
+        let said = format!(
+            "/{name} is not a file of the viewer, which is at /; the video is at /video, for programs at /video.mjpeg.\n"
+        );
         return (StatusCode::NOT_FOUND, said).into_response();
     };
     let body = match found.data {

@@ -5,6 +5,7 @@
 
 mod assets;
 mod guard;
+mod stream;
 
 use std::sync::Arc;
 
@@ -20,14 +21,16 @@ use tonic_web::GrpcWebLayer;
 
 use super::caller::{Access, known, only_reads};
 use super::kind::is_grpc;
+use super::server::Edge;
 
-/// Joins the services and the page, behind the guard of their rights.
-pub(super) fn with_page(services: Routes, access: Access) -> Routes {
+/// Joins the services, the pictures of `edge` and the page, behind the guard of their rights.
+pub(super) fn with_page(services: Routes, edge: Option<Edge>, access: Access) -> Routes {
     let access = Arc::new(access);
     let services = services
         .into_axum_router()
         .layer(GrpcWebLayer::new())
         .reset_fallback()
+        .merge(edge.map(stream::route).unwrap_or_default())
         .layer(from_fn_with_state(access.clone(), only_reads));
     let page = Router::new()
         .route("/", get(assets::page))
@@ -45,7 +48,7 @@ async fn nothing_there(request: Request<Body>) -> Response {
         return Status::unimplemented("").into_http::<Body>();
     }
     let said = format!(
-        "{} is not here. The viewer is at /, the video at /video, a sign of life at /healthz; everything else is gRPC.\n",
+        "{} is not here. The viewer is at /, the video at /video and /video.mjpeg, a sign of life at /healthz; everything else is gRPC.\n",
         request.uri().path()
     );
     (StatusCode::NOT_FOUND, said).into_response()
