@@ -130,11 +130,11 @@ fn every_class_of_the_product_has_its_line_in_the_docs() {
     }
 }
 
-/// Asks a display for a page as a browser does; the connection stays open.
-fn request(port: u64, page: &str) -> BufReader<TcpStream> {
-    let mut stream = TcpStream::connect(("127.0.0.1", port as u16)).unwrap();
+/// Asks a port for a page as a program does that knows nothing of gRPC; the connection stays open.
+fn request(address: &str, page: &str) -> BufReader<TcpStream> {
+    let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-    write!(stream, "GET {page} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n").unwrap();
+    write!(stream, "GET {page} HTTP/1.0\r\nHost: {address}\r\n\r\n").unwrap();
     BufReader::new(stream)
 }
 

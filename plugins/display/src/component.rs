@@ -3,15 +3,14 @@
 //! Invariant: frames + gaps is what the source sent since the first frame shown; showing never changes what
 //! is counted.
 
-use trocar_sdk::RateLimit;
+use std::sync::Arc;
+
 use trocar_sdk::data::{ImageHeader, StereoHeader};
 use trocar_sdk::prelude::*;
 
-use crate::freshness::taken;
+use crate::freshness::{Freshness, taken};
+use crate::handoff::Giver;
 use crate::latency::{Histogram, Latency};
-use crate::mjpeg::{Clock, Encoder, Stream};
-use crate::server::{Server, Serving};
-use crate::viewing::{Allowance, Browser, Viewing};
 use crate::window::{Settings, Window};
 
 /// Most frames taken in one step, so that a fast source cannot hold a step for ever.
@@ -19,29 +18,14 @@ const BURST: usize = 8;
 
 #[derive(Config)]
 struct DisplayConfig {
-    /// Port of 127.0.0.1 at which a browser sees the frames: `/` lists the displays, `/stream/NAME` shows
-    /// one, with `/left` or `/right` behind it one eye's. 0 is any free one. Displays of a process may share
-    /// a port. None: not at all
-    #[config(min = 0, max = 65535, default = None)]
-    mjpeg_port: Option<u16>,
-    /// NAME in the address: letters, digits, `_`, `-`; empty for the component's own
-    #[config(default = "")]
-    name: String,
-    /// Most pictures per second for a browser; each costs the step one copy of the frame. While nobody looks,
-    /// up to 16 MB/s are copied, so that who comes sees the newest frame
-    #[config(live, min = 0.1, max = 240.0, unit = "Hz", default = 15.0)]
-    mjpeg_hz: f64,
-    /// Quality of the browser's pictures
-    #[config(min = 1, max = 100, unit = "%", default = 75)]
-    mjpeg_quality: u8,
-    /// A picture this old, by its stamp, is marked in browser and window, by a red frame and how old it is;
-    /// 0: never, for pictures that come now and then
+    /// A picture this old is marked in the window and on the viewer's `/video`, by a red frame and how old it
+    /// is; 0: never, for pictures that come now and then
     #[config(live, min = 0.0, max = 3600.0, unit = "s", default = 0.5)]
     stale_after_s: f64,
     /// Whether a window is opened
     #[config(default = false)]
     window: bool,
-    /// Widest image that is shown in browser or window; larger ones are counted only
+    /// Widest image that is shown in the window; larger ones are counted only
     #[config(min = 1, max = 16384, unit = "px", default = 1920)]
     max_width: usize,
     /// Highest image that is shown there
@@ -49,8 +33,8 @@ struct DisplayConfig {
     max_height: usize,
 }
 
-/// Takes frames as a screen would: off-screen for tests and measurements, as MJPEG for a browser, in a
-/// window.
+/// Takes frames as a screen would: counts them, tells the viewer's `/video` which picture people look at, and
+/// opens a window.
 #[derive(Component)]
 #[component(model = "on_signal", provides("screen"))]
 pub struct Display {
@@ -63,9 +47,6 @@ pub struct Display {
     /// People have closed the window.
     #[event("screen")]
     window_closed: Event<u64>,
-    /// No browser can come: somebody else kept this port. Once after a Start; everything else goes on.
-    #[event("screen")]
-    mjpeg_refused: Event<u32>,
     /// Frames shown since Start.
     #[state]
     frames: u64,
@@ -89,19 +70,6 @@ pub struct Display {
     #[state]
     #[unit("px")]
     height: u32,
-    /// Whether browsers can see the frames: OFF, WAITING (somebody has the port, it is tried again),
-    /// LISTENING, REFUSED.
-    #[state]
-    mjpeg: Serving,
-    /// Port at which a browser sees the frames; 0 without one.
-    #[state]
-    mjpeg_port: u32,
-    /// Browsers that look.
-    #[state]
-    viewers: u32,
-    /// Pictures made for browsers since Start.
-    #[state]
-    pictures: u64,
     /// Whether a window is open.
     #[state]
     window_open: Flag,
@@ -114,7 +82,27 @@ pub struct Display {
     /// Stamp of the last frame.
     last: Stamp,
     histogram: Histogram,
-    viewing: Viewing,
+    screen: Screen,
+}
+
+/// Where people look.
+#[derive(Default)]
+struct Screen {
+    window: Option<(Window, Giver)>,
+    /// Age of the newest frame in the window; its thread has it, too.
+    freshness: Arc<Freshness>,
+}
+
+impl Screen {
+    /// Copies a frame for the window.
+    fn show(&mut self, header: &StereoHeader, bytes: &[u8], now: Stamp) {
+        if let Some((window, giver)) = &mut self.window
+            && window.is_open()
+            && giver.give(header, bytes)
+        {
+            self.freshness.renewed(header.stamp, now);
+        }
+    }
 }
 
 #[provides("screen")]
@@ -140,73 +128,27 @@ impl Display {
 }
 
 impl Display {
-    /// Shows frames where that is asked for; where one thing does not work, nothing is shown.
+    /// Opens a window where that is asked for.
     fn open(&mut self) -> Result {
         self.close();
         self.last = Stamp::INVALID;
-        let opened = self.show_in_browser().and_then(|()| self.show_in_window());
-        if opened.is_err() {
-            self.close();
-        }
-        opened
-    }
-
-    fn show_in_browser(&mut self) -> Result {
-        let Some(port) = self.cfg.mjpeg_port else { return Ok(()) };
-        let stream = std::sync::Arc::new(Stream::new(&self.name()));
-        let place = Server::at(port)?.show(stream.clone())?;
-        let thread = format!("{} mjpeg", self.own_name());
-        let (encoder, giver) =
-            Encoder::start(&thread, stream.clone(), self.max_bytes(), self.cfg.mjpeg_quality, self.clock())?;
-        let (pace, kept) = (RateLimit::UNLIMITED, Allowance::default());
-        self.viewing.browser = Some(Browser { place, _encoder: encoder, giver, stream, pace, kept });
-        self.tell_serving();
-        Ok(())
-    }
-
-    fn show_in_window(&mut self) -> Result {
         if self.cfg.window {
-            let title = format!("trocar {}", self.name());
-            let thread = format!("{} window", self.own_name());
-            let (max_bytes, clock) = (self.max_bytes(), self.clock());
-            let settings = Settings { title, thread, width: 1280, height: 480, max_bytes, clock };
-            self.viewing.screen = Some(Window::open(settings)?);
+            // The component's name without that of its process.
+            let name = self.host.instance_name().rsplit('/').next().unwrap_or_default();
+            let (title, thread) = (format!("trocar {name}"), format!("{name} window"));
+            let max_bytes = 2 * 3 * self.cfg.max_width * self.cfg.max_height;
+            let (host, freshness) = (self.host.clone(), self.screen.freshness.clone());
+            let settings = Settings { title, thread, width: 1280, height: 480, max_bytes, host, freshness };
+            self.screen.window = Some(Window::open(settings)?);
             self.window_open = Flag::TRUE;
         }
         Ok(())
     }
 
-    fn clock(&self) -> Clock {
-        Clock { host: self.host.clone(), freshness: self.viewing.freshness.clone() }
-    }
-
-    /// The component's, without that of its process.
-    fn own_name(&self) -> &str {
-        self.host.instance_name().rsplit('/').next().unwrap_or_default()
-    }
-
-    fn name(&self) -> String {
-        if self.cfg.name.is_empty() { self.own_name().to_owned() } else { self.cfg.name.clone() }
-    }
-
-    fn tell_serving(&mut self) {
-        let Some(browser) = &self.viewing.browser else { return };
-        let (serving, port) = browser.place.serving();
-        if serving == Serving::REFUSED && self.mjpeg != serving {
-            self.mjpeg_refused.emit(browser.place.port().into());
-        }
-        (self.mjpeg, self.mjpeg_port) = (serving, port.into());
-    }
-
-    fn max_bytes(&self) -> usize {
-        2 * 3 * self.cfg.max_width * self.cfg.max_height
-    }
-
     fn close(&mut self) {
-        self.viewing = Viewing::default();
-        self.viewing.freshness.limit(self.cfg.stale_after_s);
-        (self.mjpeg, self.mjpeg_port) = (Serving::OFF, 0);
-        (self.viewers, self.window_open) = (0, Flag::FALSE);
+        self.screen = Screen::default();
+        self.screen.freshness.limit(self.cfg.stale_after_s);
+        self.window_open = Flag::FALSE;
     }
 
     /// Counts a frame that was taken, and shown if need be.
@@ -230,21 +172,12 @@ impl Display {
 
 impl Component for Display {
     fn configure(&mut self) -> Result {
-        let named = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
-        if !self.cfg.name.chars().all(named) || self.cfg.name.len() > 63 {
-            let name = &self.cfg.name;
-            return Err(format!(
-                "name: {name:?} has other than up to 63 letters, digits, `_` and `-`: leave them out"
-            )
-            .into());
-        }
-        self.viewing.freshness.limit(self.cfg.stale_after_s);
+        self.screen.freshness.limit(self.cfg.stale_after_s);
         Ok(())
     }
 
     fn start(&mut self) -> Result {
-        (self.frames, self.gaps, self.last_seq, self.pictures) = (0, 0, [0; 2], 0);
-        self.stalls = 0;
+        (self.frames, self.gaps, self.stalls, self.last_seq) = (0, 0, 0, [0; 2]);
         self.reset_latency();
         self.open()
     }
@@ -259,30 +192,22 @@ impl Component for Display {
     }
 
     fn step(&mut self, tick: &Tick) -> Result {
-        let (now, mjpeg_hz) = (tick.now(), self.cfg.mjpeg_hz);
         for _ in 0..BURST {
             let Some(frame) = self.image.next() else { break };
             (self.width, self.height) = (frame.header().width, frame.header().height);
-            self.viewing.show(frame.header(), frame.bytes(), now, mjpeg_hz);
+            self.screen.show(frame.header(), frame.bytes(), tick.now());
             let (seq, stamp) = (frame.seq(), frame.stamp());
             self.count(0, seq, stamp);
         }
         for _ in 0..BURST {
             let Some(frame) = self.picture.next() else { break };
-            let ImageHeader { stamp, index, width, height, stride, format } = *frame.header();
-            (self.width, self.height) = (width, height);
-            let both = StereoHeader { stamp, index, width, height, stride, format, right_offset: 0 };
-            self.viewing.show(&both, frame.bytes(), now, mjpeg_hz);
+            (self.width, self.height) = (frame.header().width, frame.header().height);
+            self.screen.show(&(*frame.header()).into(), frame.bytes(), tick.now());
             let (seq, stamp) = (frame.seq(), frame.stamp());
             self.count(1, seq, stamp);
         }
         self.latency = self.histogram.told();
-        self.tell_serving();
-        if let Some(browser) = &self.viewing.browser {
-            self.viewers = browser.stream.viewers();
-            self.pictures = browser.stream.pictures();
-        }
-        if let Some((window, _)) = &self.viewing.screen
+        if let Some((window, _)) = &self.screen.window
             && self.window_open.get()
             && !window.is_open()
         {

@@ -1,4 +1,4 @@
-//! The age of the newest picture, for the threads that show it while the step does not run.
+//! The age of the newest picture, for the thread that shows it while the step does not run.
 //!
 //! Invariant: one number each way, without a lock; only what can be shown counts as new.
 

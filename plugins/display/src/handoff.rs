@@ -35,14 +35,9 @@ pub(crate) fn pair(max_bytes: usize) -> (Giver, Taker) {
 }
 
 impl Giver {
-    /// Is its header true, and do its bytes fit?
-    pub(crate) fn takes(&mut self, header: &StereoHeader, from: &[u8]) -> bool {
-        header.images(from).is_ok() && from.len() <= self.0.input_buffer_mut().bytes.len()
-    }
-
-    /// Copies a frame that it takes; tells whether it did.
+    /// Copies a frame whose header is true and whose bytes fit; tells whether it did.
     pub(crate) fn give(&mut self, header: &StereoHeader, from: &[u8]) -> bool {
-        if !self.takes(header, from) {
+        if header.images(from).is_err() || from.len() > self.0.input_buffer_mut().bytes.len() {
             return false;
         }
         let copy = self.0.input_buffer_mut();

@@ -1,27 +1,19 @@
-//! `display`: where video ends: off-screen with its figures, in a browser as MJPEG, in a window.
+//! `display`: where video ends: its figures, and a window. The picture's address is `/video` of the host.
 //!
-//! Invariant: the step counts, and copies a frame where somebody looks, or may come, and a free buffer is
-//! there; whatever waits for people or networks is in threads of its own.
+//! Invariant: the step counts, and copies a frame where a window is open and a free buffer is there; whatever
+//! waits for people is in a thread of its own.
 #![forbid(unsafe_code)]
+#![cfg_attr(not(feature = "window"), allow(dead_code, reason = "only a window draws"))]
 
 mod component;
+mod drawing;
 mod freshness;
 mod handoff;
 mod latency;
 mod mark;
-mod mjpeg;
-mod reply;
-mod request;
-mod server;
-mod viewing;
-#[cfg(test)]
-#[path = "../../../tests/src/watchdog.rs"]
-#[allow(unreachable_pub, reason = "it is public where it lies")]
-mod watchdog;
 mod window;
 
 pub use component::Display;
 pub use latency::Latency;
-pub use server::Serving;
 
 trocar_sdk::trocar_plugin!(Display);

@@ -9,10 +9,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use trocar_imaging::side;
-use trocar_sdk::Result;
+use trocar_sdk::{Host, Result};
 
-use crate::handoff::{Giver, Taker, pair};
-use crate::mjpeg::Clock;
+use crate::drawing::Drawing;
+use crate::freshness::Freshness;
+use crate::handoff::{Giver, pair};
 
 /// The settings that a window is opened with.
 #[cfg_attr(not(feature = "window"), allow(dead_code))]
@@ -24,7 +25,9 @@ pub(crate) struct Settings {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) max_bytes: usize,
-    pub(crate) clock: Clock,
+    pub(crate) host: Host,
+    /// Of the newest frame.
+    pub(crate) freshness: Arc<Freshness>,
 }
 
 /// An open window; dropped, it is closed.
@@ -43,11 +46,12 @@ impl Window {
         let open = Arc::new(AtomicBool::new(true));
         let ends = Arc::new(AtomicBool::new(false));
         let (giver, taker) = pair(settings.max_bytes);
+        let drawing = Drawing::new(taker, settings.freshness.clone());
         let (shown, ending) = (open.clone(), ends.clone());
         let (told, tells) = std::sync::mpsc::channel();
         let name = settings.thread.clone();
         let thread = side::spawn(&name, move || {
-            run(&settings, taker, &ending, |opened| {
+            run(&settings, drawing, &ending, |opened| {
                 let _ = told.send(opened);
             });
             shown.store(false, Ordering::Release);
@@ -77,9 +81,9 @@ impl Drop for Window {
 }
 
 #[cfg(not(feature = "window"))]
-fn run(_: &Settings, _: Taker, _: &AtomicBool, told: impl FnOnce(std::result::Result<(), String>)) {
+fn run(_: &Settings, _: Drawing, _: &AtomicBool, told: impl FnOnce(std::result::Result<(), String>)) {
     told(Err(
-        "window: this plugin was built without its feature `window`; build it with that, or use mjpeg_port"
+        "window: this plugin was built without its feature `window`; build it with that, or open /video of the host"
             .into(),
     ));
 }
@@ -87,13 +91,11 @@ fn run(_: &Settings, _: Taker, _: &AtomicBool, told: impl FnOnce(std::result::Re
 #[cfg(feature = "window")]
 fn run(
     settings: &Settings,
-    mut taker: Taker,
+    mut drawing: Drawing,
     ends: &AtomicBool,
     told: impl FnOnce(std::result::Result<(), String>),
 ) {
-    use crate::freshness::Stale;
-    use trocar_imaging::pixels::{Part, rgb};
-    let Settings { title, width, height, clock, .. } = settings;
+    let Settings { title, width, height, host, .. } = settings;
     let options = minifb::WindowOptions {
         resize: true,
         scale_mode: minifb::ScaleMode::AspectRatioStretch,
@@ -113,35 +115,20 @@ fn run(
             };
             return told(Err(format!(
                 "window: none can be opened ({why}; {on}): start the host where there is an X11 display and its \
-                 library (libX11), or use mjpeg_port"
+                 library (libX11), or open /video of the host in a browser"
             )));
         }
     };
-    let (mut pixels, mut shown) = (Vec::new(), Vec::new());
-    let (mut any, mut marked) = (false, None);
+    let mut shown = Vec::new();
     while window.is_open() && !ends.load(Ordering::Acquire) {
-        let new = taker.renew();
-        any |= new;
-        let stale = clock.stale().filter(|_| any);
-        let mark = stale.map(Stale::turn);
-        if !new && (mark.is_none() || mark == marked) {
+        let Some((pixels, width, height)) = drawing.next(host.now()) else {
             window.update();
             std::thread::sleep(std::time::Duration::from_millis(4));
             continue;
-        }
-        marked = mark;
-        let frame = taker.newest();
-        if let Ok((width, height)) = rgb(&frame.header, frame.bytes(), Part::Both, &mut pixels) {
-            if let Some(stale) = stale {
-                let images = (width / frame.header.width.max(1)).max(1);
-                crate::mark::draw(&mut pixels, (width as usize, height as usize), images as usize, stale);
-            }
-            shown.clear();
-            shown.extend(
-                pixels.as_chunks::<3>().0.iter().map(|[r, g, b]| u32::from_be_bytes([0, *r, *g, *b])),
-            );
-            // A frame that cannot be shown is left out.
-            let _ = window.update_with_buffer(&shown, width as usize, height as usize);
-        }
+        };
+        shown.clear();
+        shown.extend(pixels.as_chunks::<3>().0.iter().map(|[r, g, b]| u32::from_be_bytes([0, *r, *g, *b])));
+        // A frame that cannot be shown is left out.
+        let _ = window.update_with_buffer(&shown, width, height);
     }
 }

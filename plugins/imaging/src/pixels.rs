@@ -24,7 +24,7 @@ impl Part {
     /// Each part once.
     pub const ALL: [Part; 3] = [Part::Both, Part::Left, Part::Right];
 
-    /// The last piece of its address.
+    /// Its word in settings.
     pub fn name(self) -> &'static str {
         match self {
             Part::Both => "both",

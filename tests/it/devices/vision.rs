@@ -1,4 +1,6 @@
-//! Vision filters, depth on a branch, and a display for a browser, as one system file that is up.
+//! Vision filters, depth on a branch, and the picture of the display, as one system file that is up.
+
+use std::io::Read;
 
 use serde_json::{Value, json};
 use trocar_tests::repository;
@@ -50,7 +52,7 @@ fn file() -> String {
             "host/flip":    filter("host/bayer", "flip", json!({ "direction": "both" })),
             "host/overlay": filter("host/bayer", "overlay", json!({})),
             "host/pip":     filter("host/bayer", "pip", json!({ "w": 80, "h": 60 })),
-            "host/screen":  behind("host/bayer", "display/display", json!({ "mjpeg_port": 0 })),
+            "host/screen":  behind("host/bayer", "display/display", json!({})),
             "host/yuyv":    source("yuyv"),
             "host/color":   filter("host/yuyv", "color", json!({})),
             "host/crop":    filter("host/yuyv", "crop", json!({ "x": 40, "y": 30, "width": 240, "height": 180 })),
@@ -100,15 +102,14 @@ fn every_filter_of_one_system_file_passes_each_frame_and_a_browser_sees_the_resu
     depth_at("host/bm", 1600).ends_with(REFUSED).says("outside of the image: u is 0 to 319, v 0 to 239");
     depth_at("host/sgm", 160).ends_with(REFUSED).says("configure calibration, or focal_px and baseline_m");
 
-    let screen = until(&system, "host/screen", "it is served", |row| row["mjpeg"] == "LISTENING");
-    let port = screen["mjpeg_port"].as_u64().unwrap();
-    let mut stream = request(port, "/stream/screen/left");
+    // Without a path: what goes into the display.
+    let mut stream = request(system.process.address(), "/video.mjpeg?width=320");
     let (status, headers) = head(&mut stream);
     assert!(status.contains("200"), "{status}");
     assert!(headers.iter().any(|h| h.starts_with("content-type: multipart/x-mixed-replace")), "{headers:?}");
     let mut shown = |what: &str, wanted: &dyn Fn(&[u8]) -> bool| {
-        // At 15 pictures a second: the watchdog of a minute.
-        let found = (0..900).map(|_| pixels(&picture(&mut stream))).find(|pixels| wanted(pixels));
+        // At 30 pictures a second: the watchdog of a minute.
+        let found = (0..1800).map(|_| pixels(&picture(&mut stream))).find(|pixels| wanted(pixels));
         found.unwrap_or_else(|| panic!("not seen by a browser: {what}"))
     };
     shown("the retina", &|pixels| pixels.chunks(3).filter(|p| p[0] > 60).count() > 10_000);
@@ -126,9 +127,13 @@ fn every_filter_of_one_system_file_passes_each_frame_and_a_browser_sees_the_resu
     call("host/overlay/items/clear", Value::Null).ends_with(OK);
     shown("it is gone", &|pixels| !green(pixels));
 
-    // A place that is none: what there is.
-    let (status, _) = head(&mut request(port, "/stream/nobody"));
+    // A place that is none, and a source that stands still.
+    let (status, _) = head(&mut request(system.process.address(), "/video.mjpeg?path=host/nobody/image"));
     assert!(status.contains("404"), "{status}");
+    system.grpc.stop("host/bayer");
+    let mut rest = Vec::new();
+    stream.read_to_end(&mut rest).unwrap();
+    assert!(rest.ends_with(b"--trocar-frame\r\n"), "it ends behind a whole picture");
 }
 
 /// Pixels of a JPEG of 320 × 240, red, green, blue.
