@@ -9,7 +9,7 @@ use std::path::Path;
 use png::{BitDepth, ColorType};
 use prost_reflect::{DynamicMessage, ReflectMessage};
 
-use super::planes::Row;
+use super::planes::{Row, tight};
 
 /// Largest side of a picture, pixels.
 const LARGEST: u32 = 1 << 15;
@@ -91,18 +91,7 @@ pub(super) fn find(message: &DynamicMessage) -> Option<Found> {
 
 fn raw((width, height, step): (u32, u32, u32), encoding: &str, data: &[u8]) -> Option<Picture> {
     let (color, depth, bytes) = pixels(encoding)?;
-    if width == 0 || height == 0 || width > LARGEST || height > LARGEST {
-        return None;
-    }
-    let row = width as usize * bytes;
-    let step = step as usize;
-    if step < row || data.len() < step.checked_mul(height as usize - 1)?.checked_add(row)? {
-        return None;
-    }
-    let mut tight: Vec<u8> = Vec::with_capacity(row * height as usize);
-    for line in data.chunks(step).take(height as usize) {
-        tight.extend_from_slice(line.get(..row)?);
-    }
+    let mut tight = tight((width as usize, height as usize, step as usize), bytes, data)?;
     match encoding {
         "bgr8" => tight.chunks_exact_mut(3).for_each(|p| p.swap(0, 2)),
         "bgra8" => tight.chunks_exact_mut(4).for_each(|p| p.swap(0, 2)),

@@ -91,17 +91,26 @@ fn image(row: &Row<'_>, bytes: &Bytes) -> Option<Plane> {
         _ => return None,
     };
     let (width, height, step) = (row.whole("width")?, row.whole("height")?, row.whole("step")?);
-    let possible = 1..=LARGEST;
-    if !possible.contains(&width) || !possible.contains(&height) {
+    let bytes = tight((width, height, step), item.bytes(), bytes)?;
+    Some(Plane { item, rows: 1, shape: vec![height, width], bytes })
+}
+
+/// The rows of an image without the bytes between them, `pixel` bytes for each pixel; `None` where they are
+/// not all there.
+pub(super) fn tight(
+    (width, height, step): (usize, usize, usize),
+    pixel: usize,
+    bytes: &[u8],
+) -> Option<Vec<u8>> {
+    let sides = 1..=LARGEST;
+    if !sides.contains(&width) || !sides.contains(&height) {
         return None;
     }
-    let line = width * item.bytes();
+    let line = width * pixel;
     if step < line || bytes.len() < step.checked_mul(height - 1)?.checked_add(line)? {
         return None;
     }
-    let tight: Vec<u8> =
-        bytes.chunks(step).take(height).flat_map(|row| row[..line].iter().copied()).collect();
-    Some(Plane { item, rows: 1, shape: vec![height, width], bytes: tight })
+    Some(bytes.chunks(step).take(height).flat_map(|row| &row[..line]).copied().collect())
 }
 
 #[cfg(test)]
