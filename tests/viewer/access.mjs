@@ -2,7 +2,7 @@
 import fs from 'node:fs';
 import { createRequire } from 'node:module';
 import { odd, small } from './letters.mjs';
-import { box, connect, create, eventually, is, reveal, settled, start } from './world.mjs';
+import { box, connect, create, eventually, grpcurl, is, reveal, settled, start } from './world.mjs';
 
 const AXE = fs.readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 
@@ -135,6 +135,34 @@ async function every_view(world, scheme) {
 
 export const nothing_is_wrong_for_screen_readers_and_weak_eyes_in_light = (world) => every_view(world, 'light');
 export const nothing_is_wrong_for_screen_readers_and_weak_eyes_in_dark = (world) => every_view(world, 'dark');
+
+export async function what_is_read_only_stopped_faulted_or_away_can_be_read_in_both_themes(world) {
+  const gcm = await world.gcm();
+  await world.host('left', ['--gcm', gcm.addr]);
+  const right = await world.host('right', ['--gcm', gcm.addr]);
+  for (const path of ['left/ready', 'left/stopped', 'right/lost']) await create(gcm.addr, 'sine', path);
+  await create(gcm.addr, 'fixture-chaos/chaos', 'left/chaos', { panic_in: 'step' }, { model: 'periodic', rate_hz: 10 });
+  await start(gcm.addr, 'left/stopped', 'left/chaos', 'right/lost');
+  await grpcurl(gcm.addr, 'GcmService/Stop', { path: 'left/stopped' });
+  const pages = [];
+  for (const scheme of ['light', 'dark']) pages.push(await world.viewer(gcm.addr, '?readonly', { colorScheme: scheme, reducedMotion: 'reduce' }));
+  right.kill('SIGKILL');
+  const found = [];
+  for (const [n, page] of pages.entries()) {
+    await page.locator('[data-process=right][data-standing=lost]').waitFor();
+    await page.locator('.tally', { hasText: '1 in FAULT' }).waitFor();
+    await settled(page);
+    await box(page, 'left/chaos').locator('header').click();
+    await page.locator('.inspector').waitFor();
+    found.push(...(await wrong(page, `states ${n}`)));
+  }
+  gcm.kill('SIGKILL');
+  for (const [n, page] of pages.entries()) {
+    await page.locator('[data-banner]').waitFor();
+    found.push(...(await wrong(page, `away ${n}`)));
+  }
+  is(found, [], 'what is wrong in light (0) and dark (1)');
+}
 
 export async function the_video_page_is_as_accessible(world) {
   const demo = await world.demo();

@@ -39,7 +39,7 @@ export async function a_configuration_is_a_form_and_what_is_refused_says_why(wor
   is(await field.inputValue(), '1', 'what is configured now');
   holds((await page.locator('[data-configure]').innerText()).includes('Hz'), 'units are shown');
   const send = page.getByRole('button', { name: 'Configure', exact: true });
-  for (const [typed, at, why] of [['501', '501 is above 500 Hz', /500/], ['fast', 'fast is no number', /number|fast/i]]) {
+  for (const [typed, at, why] of [['501', '501 is above 500 Hz', /500/], ['fast', 'fast is not a number', /number|fast/i]]) {
     await field.fill(typed);
     is(await page.locator('[data-wrong="field/frequency_hz"]').innerText(), at, 'at the field');
     await send.click();
@@ -161,7 +161,7 @@ export async function of_a_large_form_only_what_was_changed_is_sent(world) {
   is(await field('topics').inputValue(), '["a","b"]', 'an array as JSON');
   await field('topics').fill('["a", "b"');
   const said = form.locator('[data-wrong="field/topics"]');
-  holds(/^this is no JSON: /.test(await said.innerText()), `a sentence: ${await said.innerText()}`);
+  holds(/^not valid JSON: /.test(await said.innerText()), `a sentence: ${await said.innerText()}`);
   await send.click();
   await page.getByRole('button', { name: 'Check only' }).click();
   await form.locator('.refusal', { hasText: 'topics' }).waitFor();
@@ -196,7 +196,7 @@ export async function many_numbers_share_a_field_with_commas_between_them(world)
   is(await field.inputValue(), numbers.join(', '), 'what is configured');
   is(await form.locator('[id^="field/topics/"]:is(input)').count(), 20, 'texts have a field each');
   const wrong = form.locator('[data-wrong="field/every"]');
-  for (const [typed, why] of [['far', 'number 19: far is no number'], ['-1', 'number 19: -1 is below 0'], ['0.5', 'number 19: 0.5 is no whole number']]) {
+  for (const [typed, why] of [['far', 'number 19: far is not a number'], ['-1', 'number 19: -1 is below 0'], ['0.5', 'number 19: 0.5 is not a whole number']]) {
     await field.fill(`${numbers.slice(1).join(',')}, ${typed}`);
     is(await wrong.innerText(), why, 'at the field');
   }

@@ -38,7 +38,7 @@ export async function a_robot_is_moved_by_fields_with_units_and_a_wrong_number_i
   is(await entry('stamp').inputValue(), '', 'a stamp is shown, and may stay empty');
   const stands = async () => (await grpcurl(host.addr, 'InteractService/Invoke', { path: 'host/robot/arm/setpoint_js' })).json.position;
   const before = await stands();
-  for (const [typed, at, server] of [['far', /far is no number/, /position.0.*far/], ['', /a number is missing/, /position.0/]]) {
+  for (const [typed, at, server] of [['far', /far is not a number/, /position.0.*far/], ['', /a number is missing/, /position.0/]]) {
     await entry('position[0]').fill(typed);
     await wrong('argument/position/0').filter({ hasText: at }).waitFor();
     is(await entry('position[0]').getAttribute('aria-invalid'), 'true', 'who hears the page is told');
@@ -85,7 +85,7 @@ export async function every_kind_of_value_is_entered_in_fields_and_arrives_as_it
   await entry('mood').selectOption('BUSY');
   await entry('level').fill('-300');
   await entry('on').check();
-  for (const [typed, why] of [['-129', '-129 is below -128'], ['1.5', '1.5 is no whole number']]) {
+  for (const [typed, why] of [['-129', '-129 is below -128'], ['1.5', '1.5 is not a whole number']]) {
     await entry('tiny').fill(typed);
     is(await wrong('argument/tiny').innerText(), why, 'at the field');
     await invoke();
@@ -111,7 +111,7 @@ export async function every_kind_of_value_is_entered_in_fields_and_arrives_as_it
   await text.fill('{"order": ');
   is(await json.isDisabled(), true, 'back from what is no JSON');
   await invoke();
-  await refused.filter({ hasText: /no JSON.*nothing was sent/ }).waitFor();
+  await refused.filter({ hasText: /not valid JSON.*nothing was sent/ }).waitFor();
   await shot(page, 'invoke-no-json');
   await text.fill(JSON.stringify({ ...typed, stamp: 12, list: [1, 2, 3] }));
   await json.click();

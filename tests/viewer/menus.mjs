@@ -49,7 +49,7 @@ export async function a_connection_is_cut_from_its_details(world) {
   await page.locator('.inspector').getByRole('button', { name: 'Disconnect' }).click();
   await page.locator(LINE).waitFor({ state: 'detached' });
   is(await connections(host.addr), 0, 'connections');
-  await page.locator('.inspector', { hasText: 'It is not there any more.' }).waitFor();
+  await page.locator('.inspector', { hasText: 'It no longer exists.' }).waitFor();
 }
 
 export async function all_of_a_process_is_started_and_stopped_from_its_menu_and_nothing_else(world) {

@@ -75,10 +75,10 @@ export async function several_curves_share_a_plot_and_leave_it_again(world) {
     await page.locator('[data-note]').evaluateAll((all) => all.forEach((n) => n.querySelector('button').click()));
     await page.locator('[data-note]').first().waitFor({ state: 'detached' });
     await drop(page, garbage, '[data-figure="1"]');
-    await told(page, 'what was dropped is no number of a component');
+    await told(page, 'what was dropped is not a number of a component');
   }
   await drop(page, { ...OUTPUT, path: 'host/gone/value' });
-  await told(page, 'host/gone is not there any more');
+  await told(page, 'host/gone no longer exists');
   is(await inPlots(page), [[out, row]], 'what was refused is nowhere');
   // Beside it: a plot of its own; dragged by the mouse from its legend, one goes into the other.
   await drop(page, { ...READ, unit: 'N' });

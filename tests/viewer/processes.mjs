@@ -33,7 +33,7 @@ export async function a_killed_process_shows_its_last_end_and_comes_back_by_the_
   globalThis.process.kill(before, 'SIGKILL');
   const fate = process(page, 'right').locator('[data-fate]');
   await fate.filter({ hasText: /^(lost|failed) \d+ s ago: killed by SIGKILL/ }).waitFor();
-  await box(page, 'right/echo').getByText('its process is lost').waitFor();
+  await box(page, 'right/echo').getByText('process lost').waitFor();
   await process(page, 'right').locator('header').click();
   const panel = panelOf(page, 'right');
   await panel.locator('[data-away]', { hasText: /was killed by SIGKILL/ }).waitFor();
@@ -44,7 +44,7 @@ export async function a_killed_process_shows_its_last_end_and_comes_back_by_the_
   await panel.locator('[data-away]').waitFor({ state: 'detached' });
   await panel.locator('.plugin', { hasText: 'recorder recorder' }).waitFor();
   holds((await pidOf(addr, 'right')) !== before, 'it is another process');
-  await box(page, 'right/echo').getByText('its process is lost').waitFor({ state: 'detached' });
+  await box(page, 'right/echo').getByText('process lost').waitFor({ state: 'detached' });
   await page.locator('[data-note]', { hasText: 'Restart right: done' }).waitFor();
   await shot(page, 'process-back');
 }
@@ -118,6 +118,6 @@ export async function a_process_is_shown_by_a_click_and_by_keys_and_a_page_that_
   await process(page, 'right').locator('header').click();
   await panel.locator('dt:text-is("since") + dd', { hasText: 'before this page looked' }).waitFor();
   right.kill('SIGKILL');
-  await panel.locator('[data-away]', { hasText: 'No supervisor told how it ended' }).waitFor();
+  await panel.locator('[data-away]', { hasText: 'No supervisor reported how it ended' }).waitFor();
   is(await panel.getByRole('button').allInnerTexts().then((all) => all.filter((text) => /Restart|Forget/.test(text))), [], 'ways back');
 }

@@ -128,7 +128,7 @@ export async function a_pattern_that_matches_nothing_says_so_with_the_nearest_na
   await page.locator('[data-matched="1"]').waitFor();
   const said = await page.locator('[data-nothing]').allInnerTexts();
   is(said.length, 2, `lines of patterns that match nothing: ${said}`);
-  holds(/“host\/sine\/valeu”; the nearest are host\/sine\/value,/.test(said[0]) && said[1].includes('nobody/**'), `what is said: ${said}`);
+  holds(/“host\/sine\/valeu” matches no output; the nearest names are host\/sine\/value,/.test(said[0]) && said[1].includes('nobody/**'), `what is said: ${said}`);
   await shot(page, 'record-nothing');
   await panel(page).getByRole('button', { name: 'Start' }).click();
   await panel(page).getByRole('alert').filter({ hasText: 'Nothing was started' }).waitFor();

@@ -16,6 +16,7 @@ import * as hidden from './hidden.mjs';
 import * as invoke from './invoke.mjs';
 import * as layout from './layout.mjs';
 import * as live from './live.mjs';
+import * as looks from './looks.mjs';
 import * as menus from './menus.mjs';
 import * as page from './page.mjs';
 import * as plots from './plots.mjs';
@@ -25,7 +26,7 @@ import * as times from './times.mjs';
 import * as tuning from './tuning.mjs';
 import * as video from './video.mjs';
 
-const FILES = { firstday, graph, layout, menus, forms, changes, classes, invoke, live, plots, tuning, video, away, hidden, page, guard, recording, processes, access, times };
+const FILES = { firstday, graph, layout, looks, menus, forms, changes, classes, invoke, live, plots, tuning, video, away, hidden, page, guard, recording, processes, access, times };
 const all = Object.entries(FILES).flatMap(([file, tests]) => Object.entries(tests).map(([name, test]) => ({ full: `viewer::${file}::${name}`, file, name, test })));
 const [exact, onlyTimes] = ['--exact', '--times'].map((option) => process.argv.includes(option));
 const words = process.argv.slice(2).filter((word) => !['--exact', '--times'].includes(word));

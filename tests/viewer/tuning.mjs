@@ -49,7 +49,7 @@ export async function settings_beside_a_plot_move_what_runs_and_are_one_change_e
   await shot(page, 'plot-settings-refused');
   await number.fill('abc');
   await number.press('Enter');
-  await of('host/sine', 'frequency_hz').getByText('abc is no number').waitFor();
+  await of('host/sine', 'frequency_hz').getByText('abc is not a number').waitFor();
   is((await config()).frequency_hz, 7, 'what it has');
   // Keys: a number without limits, and another component's slider by powers of ten, switch, choice and items.
   const amplitude = page.getByRole('textbox', { name: 'amplitude' });

@@ -20,7 +20,7 @@ export const PATIENCE = { timeoutMs: 8000 };
 export function said(error: unknown): string {
   const e = ConnectError.from(error);
   if (e.code === Code.Unavailable || /failed to fetch|networkerror|load failed/i.test(e.rawMessage)) {
-    return e.rawMessage && !/fetch|network|load failed/i.test(e.rawMessage) ? e.rawMessage : 'nobody answers at this address';
+    return e.rawMessage && !/fetch|network|load failed/i.test(e.rawMessage) ? e.rawMessage : 'no answer at this address';
   }
   return e.rawMessage || Code[e.code];
 }

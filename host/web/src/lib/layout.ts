@@ -5,11 +5,11 @@ import ELK, { type ElkEdgeSection, type ElkExtendedEdge, type ElkNode } from 'el
 import workerUrl from 'elkjs/lib/elk-worker.min.js?url';
 import type { Connection } from '../gen/trocar/v1/types_pb';
 import type { Card } from './card';
-import { componentOf } from './words';
+import { byName, componentOf } from './words';
 
 const PAD = { top: 46, side: 24 };
 /// A box without components.
-const LEAST = { width: 200, height: 90 };
+export const LEAST = { width: 260, height: 90 };
 /// Between two processes, px.
 const BETWEEN = 110;
 /// Above and below what a process has beside its connected components, px.
@@ -79,7 +79,7 @@ async function arranged(processes: string[], cards: Map<string, Card>, connectio
   const across = known.filter((c) => !isInside(c));
   const insides = new Map<string, Inside>();
   for (const name of processes) {
-    const own = [...cards].filter(([path]) => home(path) === name);
+    const own = [...cards].filter(([path]) => home(path) === name).sort(([a], [b]) => byName(a, b));
     const exits = [
       ...across.filter((c) => home(c.server) === name).map((c) => ({ id: String(c.id), port: c.server, out: true })),
       ...across.filter((c) => home(c.client) === name).map((c) => ({ id: String(c.id), port: c.client, out: false })),
@@ -166,6 +166,10 @@ function reached(from: string[], connections: Connection[]): Set<string> {
   return seen;
 }
 
+/// What ELK is told, so that rows of boxes fill the room: their width is this times the root of the area
+/// of the boxes. Gaps take 0.6 of that area again.
+const packed = (room: Room): number => Math.sqrt((1.6 * room.width) / room.height);
+
 /// Components of one process and what ties them. At its sides two thin nodes stand for the border.
 function block(cards: Map<string, Card>, connections: Connection[], exits: Exit[], room: Room, manner: Manner): ElkNode {
   const end = (path: string) => (cards.get(componentOf(path))!.spots.some((s) => path.endsWith(`/${s.port.name}`)) ? path : componentOf(path));
@@ -183,7 +187,7 @@ function block(cards: Map<string, Card>, connections: Connection[], exits: Exit[
       'elk.spacing.nodeNode': '26',
       'elk.spacing.componentComponent': '30',
       'elk.separateConnectedComponents': String(exits.length === 0),
-      'elk.aspectRatio': String(room.width / room.height),
+      'elk.aspectRatio': String(manner.wrapped ? room.width / room.height : packed(room)),
       ...(manner.wrapped ? { 'elk.layered.wrapping.strategy': 'MULTI_EDGE' } : {}),
     },
     children: [

@@ -9,7 +9,7 @@ export type Dock = 'plots' | 'video' | 'events' | 'log';
 interface Note {
   id: number;
   text: string;
-  bad: boolean;
+  tone: 'good' | 'warn' | 'bad';
 }
 
 const query = new URLSearchParams(location.search);
@@ -46,9 +46,18 @@ class Page {
   }
 
   tell(text: string, bad = false) {
+    this.#note(text, bad ? 'bad' : 'good');
+  }
+
+  /// It was done, but not quite as asked.
+  warn(text: string) {
+    this.#note(text, 'warn');
+  }
+
+  #note(text: string, tone: Note['tone']) {
     const id = ++this.#count;
-    this.notes = [...this.notes.slice(-4), { id, text, bad }];
-    setTimeout(() => this.dismiss(id), bad ? 12000 : 4000);
+    this.notes = [...this.notes.slice(-4), { id, text, tone }];
+    setTimeout(() => this.dismiss(id), tone === 'good' ? 4000 : 12000);
   }
 
   dismiss(id: number) {
@@ -60,7 +69,7 @@ class Page {
     try {
       const answer = await call();
       for (const s of answer.skipped ?? []) this.tell(`${what}: ${s.path} was left alone: ${s.why}`, true);
-      for (const w of answer.warnings ?? []) this.tell(`${what}: ${w}`, true);
+      for (const w of answer.warnings ?? []) this.warn(`${what}: ${w}`);
       if (!answer.skipped?.length) this.tell(`${what}: done`);
       return true;
     } catch (error) {

@@ -113,8 +113,8 @@ class Plots {
     if (curve) return this.move(curve, into);
     if (!text) return;
     const signal = signalFrom(text);
-    if (!signal) page.tell('what was dropped is no number of a component', true);
-    else if (!system.components.has(componentOf(signal.path))) page.tell(`${componentOf(signal.path)} is not there any more: ${nameOf(signal)} is not plotted`, true);
+    if (!signal) page.tell('what was dropped is not a number of a component', true);
+    else if (!system.components.has(componentOf(signal.path))) page.tell(`${componentOf(signal.path)} no longer exists: ${nameOf(signal)} is not plotted`, true);
     else if (into) this.add(signal, into);
     else this.#alone(signal);
   }

@@ -31,8 +31,8 @@ export interface Wanted {
 /// Why a pattern means nothing, with the nearest names; empty = it means something.
 export function unmatched(pattern: string, all: Source[]): string {
   if (all.some((source) => matches(pattern, source.path))) return '';
-  if (all.length === 0) return `no output is meant by “${pattern}”: there is no output yet`;
-  return `no output is meant by “${pattern}”; the nearest are ${nearestTo(pattern, all.map((s) => s.path)).join(', ')}`;
+  if (all.length === 0) return `“${pattern}” matches no output: there are no outputs yet`;
+  return `“${pattern}” matches no output; the nearest names are ${nearestTo(pattern, all.map((s) => s.path)).join(', ')}`;
 }
 
 function plan(wanted: Wanted, there: Sources): { process: string; outputs: Source[]; unheard: string[] } {
@@ -65,7 +65,7 @@ export async function makeRecorder(wanted: Wanted, name: string, tell: (doing: s
   try {
     const { warnings } = await gcm.create({ path: component, class: RECORDER, config, execution: { priority: PRIORITY } }, PATIENCE);
     // Its thread may not have been given what was asked for.
-    for (const warning of warnings) page.tell(`${component}: ${warning}`, true);
+    for (const warning of warnings) page.warn(`${component}: ${warning}`);
   } catch (error) {
     // Without an answer nobody knows whether it was made; a refusal made nothing.
     if (ConnectError.from(error).code === Code.DeadlineExceeded) await undo(component);

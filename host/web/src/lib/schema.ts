@@ -1,6 +1,8 @@
 /// What a form is made of: JSON Schema as classes give it, and as `argument.ts` makes it of a command's type.
 ///
 /// Invariant: nothing here decides what is sent; what is wrong is said beside the field, and the server judges.
+import { count } from './words';
+
 export interface Schema {
   type?: string | string[];
   title?: string;
@@ -103,12 +105,12 @@ export function whyWrong(s: Schema, kind: Kind, value: unknown): string {
   if (isNumeric(kind)) return wrongNumber(s, kind === 'integer', value);
   if (kind === 'string') {
     const bytes = s.bytes === undefined ? 0 : new TextEncoder().encode(String(value)).length;
-    return bytes > (s.bytes ?? 0) ? `it has ${bytes} bytes; there is room for ${s.bytes}` : '';
+    return bytes > (s.bytes ?? 0) ? `${bytes} bytes; at most ${s.bytes} fit` : '';
   }
   if (kind !== 'numbers' || !Array.isArray(value)) return '';
   const n = fixedLength(s);
-  if (n !== undefined && value.length !== n) return `these are ${value.length} numbers; exactly ${n} are wanted`;
-  if (value.length > (s.maxItems ?? Infinity)) return `these are ${value.length} numbers; there is room for ${s.maxItems}`;
+  if (n !== undefined && value.length !== n) return `${count(value.length, 'number')}; exactly ${n} needed`;
+  if (value.length > (s.maxItems ?? Infinity)) return `${count(value.length, 'number')}; at most ${s.maxItems} fit`;
   const item = itemOf(s);
   for (const [i, v] of value.entries()) {
     const why = wrongNumber(item, kindOf(item) === 'integer', v);
@@ -121,8 +123,8 @@ function wrongNumber(s: Schema, whole: boolean, value: unknown): string {
   if (value === '') return 'a number is missing';
   if (!whole && /^(NaN|-?Infinity)$/.test(String(value))) return '';
   const n = Number(value);
-  if (Number.isNaN(n) || (typeof value === 'string' && !(whole && /^-?\d+$/.test(value)))) return `${String(value)} is no number`;
-  if (whole && !Number.isInteger(n)) return `${n} is no whole number`;
+  if (Number.isNaN(n) || (typeof value === 'string' && !(whole && /^-?\d+$/.test(value)))) return `${String(value)} is not a number`;
+  if (whole && !Number.isInteger(n)) return `${n} is not a whole number`;
   const unit = s.unit ? ` ${s.unit}` : '';
   for (const low of [s.minimum, s.holds?.[0]]) if (low !== undefined && n < low) return `${value} is below ${low}${unit}`;
   for (const high of [s.maximum, s.holds?.[1]]) if (high !== undefined && n > high) return `${value} is above ${high}${unit}`;

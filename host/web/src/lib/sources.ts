@@ -51,7 +51,7 @@ export async function learnSources(): Promise<Sources> {
 /// Components that may have outputs that are meant, and told none: a sentence each.
 export function unheardOf(patterns: string[], { unheard }: Sources): string[] {
   const meant = unheard.filter(({ path }) => patterns.some((pattern) => mayMean(pattern, path)));
-  return meant.map(({ path, why }) => `${path} did not tell its outputs: ${why}`);
+  return meant.map(({ path, why }) => `${path} did not report its outputs: ${why}`);
 }
 
 export function chosen(patterns: string[], all: Source[]): Source[] {

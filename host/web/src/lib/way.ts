@@ -44,12 +44,17 @@ export interface Size {
 
 /// Figures in a line, in lines below each other, and no more than the rate and losses.
 const PLAIN: Size[] = [{ width: 150, height: 15 }, { width: 74, height: 28 }, { width: 48, height: 15 }];
-/// The same where something was dropped.
-const LOSSY: Size[] = [{ width: 220, height: 15 }, { width: 84, height: 41 }, { width: 84, height: 28 }];
+/// Width of a letter of them, and of "dropped" below a rate, px.
+const LETTER = 6.6;
+const DROPPED = 56;
 
-/// The sizes that figures can have, the best first; `letters`: how much larger than usual.
-export const sizesOf = (lossy: boolean, letters: number): Size[] =>
-  (lossy ? LOSSY : PLAIN).map(({ width, height }) => ({ width: width * letters, height: height * letters }));
+/// The sizes that figures can have, the best first: with the number of losses, and at last with a word in its
+/// place. A number of which a card hides a part would be another one. `letters`: how much larger than usual.
+export function sizesOf(loss: string, letters: number): Size[] {
+  const wide = loss.length * LETTER + 10;
+  const lossy = [{ width: 140 + wide, height: 15 }, { width: Math.max(84, wide), height: 41 }, { width: wide, height: 28 }, { width: DROPPED, height: 28 }];
+  return (loss ? lossy : PLAIN).map(({ width, height }) => ({ width: width * letters, height: height * letters }));
+}
 
 /// The first of these sizes that has a place on the way beside the cards, and the middle of that place.
 /// The last size, at the place where it covers least, if none has one. `shared`: other wires leave the output.

@@ -27,16 +27,18 @@ export function stateOf(c: Component): { text: string; tone: Tone } {
 
 /// Why nothing new comes from a component; empty = it may.
 export function whyStill(path: string, c: Component | undefined): string {
-  if (!c) return `${path} is not there any more`;
+  if (!c) return `${path} no longer exists`;
   if (c.health === Health.LOST) return `${path}: its process does not answer`;
   return c.state === ComponentState.ACTIVE ? '' : `${path} is ${stateOf(c).text}`;
 }
 
 export function healthOf(c: Component): { text: string; tone: Tone; why: string } {
-  const [text, tone, means] = HEALTH[c.health] ?? ['not known', 'new', 'nobody told'];
-  const details = [c.fault || means, ...(c.stats?.warnings ?? [])];
+  const [text, tone, means] = HEALTH[c.health] ?? ['unknown', 'new', 'not reported'];
+  const details = [...(c.stats?.warnings ?? [])];
   const overruns = c.stats?.overruns ?? 0n;
   if (overruns > 0n) details.push(`${count(Number(overruns), 'overrun')} since it was made`);
+  // A warning is something to report.
+  if (c.fault || c.health !== Health.OK || details.length === 0) details.unshift(c.fault || means);
   return { text, tone: c.fault ? 'bad' : tone, why: details.join('; ') };
 }
 
@@ -73,6 +75,9 @@ export function span(ns: number): string {
 export function clock(wallNs: bigint): string {
   return new Date(Number(wallNs / 1000000n)).toLocaleTimeString([], { hour12: false });
 }
+
+/// The order of names: sine2 before sine10.
+export const byName = new Intl.Collator('en', { numeric: true }).compare;
 
 export function lastPart(path: string): string {
   return path.slice(path.lastIndexOf('/') + 1);

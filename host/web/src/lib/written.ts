@@ -17,7 +17,7 @@ export function read(s: Schema, kind: Kind, text: string): unknown {
       try {
         return text.trim() === '' ? undefined : JSON.parse(text);
       } catch {
-        throw new Error('this is no JSON: a bracket, comma or quote is missing or too many');
+        throw new Error('not valid JSON: a bracket, comma or quote is missing or one too many');
       }
     default:
       return text;
