@@ -71,9 +71,11 @@ impl State {
 /// | CREATED | READY | – | same | – | – | gone |
 /// | READY | READY | ACTIVE | same | – | READY | gone |
 /// | ACTIVE | ACTIVE, live settings only | – | STOPPED{requested} | – | READY | gone |
-/// | STOPPED{restarted} | READY | ACTIVE, a fresh start | STOPPED{requested} | ACTIVE, run-time state kept | READY | gone |
-/// | STOPPED{other} | READY | ACTIVE, a fresh start | same, reason kept | ACTIVE, run-time state kept | READY | gone |
+/// | STOPPED{restarted} | READY | ACTIVE, fresh | STOPPED{requested} | ACTIVE, state kept | READY | gone |
+/// | STOPPED{other} | READY | ACTIVE, fresh | same, reason kept | ACTIVE, state kept | READY | gone |
 /// | FAULT | – | – | same | – | READY | gone |
+///
+/// *State kept* is the run-time state; a *fresh* start makes it anew.
 ///
 /// Stop is never refused: where nothing runs it changes nothing, and it keeps the reason of a STOPPED
 /// component so that an interlock is not forgotten. A component that stands only because its process was

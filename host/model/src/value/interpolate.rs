@@ -10,7 +10,7 @@
 //! | integers, flags, enums, bool, text | nearest |
 //! | array, struct | item by item, field by field |
 //! | list | item by item where both have the same length, else nearest |
-//! | `orientation` or `quaternion`, four floats without a unit | along the shorter arc, where both are unit quaternions |
+//! | `orientation` or `quaternion`, four floats without unit | along the shorter arc, if both have length 1 |
 
 use super::{At, BEYOND, Res, checked_size};
 use crate::{Field, Prim, StructType, Type};
