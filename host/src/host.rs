@@ -2,7 +2,7 @@
 //!
 //! Invariant: what starts last stops first, except that devices are made safe before anything else ends.
 
-pub(crate) mod announce;
+pub mod announce;
 mod builder;
 mod client;
 mod config;

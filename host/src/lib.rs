@@ -1,16 +1,16 @@
-//! The trocar host as a library: all I/O but that of the components of one process.
+//! The trocar host as a library: all I/O but that of the components of one process. The program is the crate
+//! `trocar-cli`.
 //!
-//! Invariant: calls go downward only, `cli → control → gcm → lcm → loader → rt`; answers are return values,
+//! Invariant: calls go downward only, `control → gcm → lcm → loader → rt`; answers are return values,
 //! news are events.
 #![forbid(unsafe_code)]
 
-pub mod cli;
 pub mod control;
 pub mod doctor;
 pub mod gcm;
 pub mod host;
 pub mod processes;
-mod runtime_dir;
+pub mod runtime_dir;
 pub mod system_file;
 #[cfg(test)]
 #[path = "../../tests/src/watchdog.rs"]

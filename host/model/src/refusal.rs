@@ -18,7 +18,7 @@
 //! example are Rust expressions that see the fields by name. The names they use are imported below.
 //!
 //! Invariant: the sentence says what was asked, what is wrong and what exists; doing what the help says
-//! helps, and its commands in backticks can be typed (`host/tests/cli_surface.rs`,
+//! helps, and its commands in backticks can be typed (`host/cli/tests/cli_surface.rs`,
 //! `tests/it/control_plane/helps.rs`). Reasons and metadata keys only grow; clients match on them.
 //!
 //! [docs/errors.md]: ../../../docs/errors.md

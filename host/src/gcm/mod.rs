@@ -65,4 +65,5 @@ pub(crate) use manager::given_ns;
 pub(crate) use observed::observe;
 pub use sessions::{Registered, Registration, Slice};
 pub use start::GcmConfig;
-pub(crate) use text::{asked, lines as plan_lines};
+pub(crate) use text::asked;
+pub use text::lines as plan_lines;

@@ -24,14 +24,14 @@ pub(super) struct Announcement(Placed);
 
 /// Answer of one process.
 #[derive(Clone, Debug)]
-pub(crate) struct Answer {
-    pub(crate) pid: u32,
+pub struct Answer {
+    pub pid: u32,
     /// Text of the answer: Ok when everything stands still.
-    pub(crate) result: Result<String, String>,
+    pub result: Result<String, String>,
 }
 
 impl Answer {
-    pub(crate) fn text(&self) -> &str {
+    pub fn text(&self) -> &str {
         match &self.result {
             Ok(text) | Err(text) => text,
         }
@@ -101,7 +101,7 @@ impl Drop for Announcement {
 }
 
 /// Asks every host process of this user on this machine to stop its components, all at once.
-pub(crate) async fn stop_everything() -> Vec<Answer> {
+pub async fn stop_everything() -> Vec<Answer> {
     stop_everything_in(&RuntimeDir::of_user()).await
 }
 

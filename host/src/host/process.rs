@@ -221,7 +221,7 @@ impl Host {
     }
 
     /// Returns the function that keeps the program's own log lines for `Logs`, under the name of its process.
-    pub(crate) fn own_lines(&self) -> impl Fn(LogLine) + Send + use<> {
+    pub fn own_lines(&self) -> impl Fn(LogLine) + Send + use<> {
         let gcm = self.gcm.as_ref().map(|gcm| gcm.lines().clone());
         let lcm = self.lcm.as_ref().map(Arc::downgrade);
         let path = self.lcm.as_ref().map_or_else(|| "gcm".to_owned(), |lcm| lcm.process().to_string());

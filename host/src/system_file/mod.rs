@@ -104,7 +104,7 @@ impl ProcessSpec {
     }
 
     /// A process made like this one for a component alone, called as [`ComponentId::apart`] says.
-    pub(crate) fn apart(&self, lives: &ComponentId) -> ProcessSpec {
+    pub fn apart(&self, lives: &ComponentId) -> ProcessSpec {
         let state = self.state.as_ref().map(|dir| dir.join(lives.component.as_str()));
         ProcessSpec { name: lives.process.clone(), listen: None, state, ..self.clone() }
     }

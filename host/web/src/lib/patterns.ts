@@ -1,6 +1,6 @@
 /// Patterns over process/component/output, as `trocar record` reads them.
 ///
-/// Invariant: a pattern means here what it means there (host/src/cli/recording/select.rs): `*` stands for any
+/// Invariant: a pattern means here what it means there (host/cli/src/recording/select.rs): `*` stands for any
 /// part of one name, `**` for any number of names, and the name of a process or component for all in it.
 
 /// A pattern with more names than this means nothing.

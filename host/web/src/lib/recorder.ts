@@ -1,6 +1,6 @@
 /// A recorder made for one recording: created, connected, started; taken away where any of that is refused.
 ///
-/// Invariant: same configuration, queues and priority as `trocar record` (host/src/cli/recording/record.rs).
+/// Invariant: same configuration, queues and priority as `trocar record` (host/cli/src/recording/record.rs).
 /// Only its directory is the class's default, and nobody holds it: a page that is closed ends no recording.
 import { Code, ConnectError } from '@connectrpc/connect';
 import { gcm, interact, PATIENCE, said, wrapped } from './api';

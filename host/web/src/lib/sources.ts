@@ -1,6 +1,6 @@
 /// The outputs a recording could take, and the processes that could record them.
 ///
-/// Invariant: the rules are those of `trocar record` (host/src/cli/recording/record.rs): which outputs count,
+/// Invariant: the rules are those of `trocar record` (host/cli/src/recording/record.rs): which outputs count,
 /// how deep a queue is, and which process records.
 import { Code, ConnectError } from '@connectrpc/connect';
 import { gcm, PATIENCE, said } from './api';

@@ -1,0 +1,283 @@
+//! The program's side of the gRPC services: one method per question, plain values in and out.
+//!
+//! Invariant: connects once, at the first question; every failure is told with the address that was asked.
+
+mod changes;
+pub(super) mod holding;
+pub(super) mod recording;
+mod system;
+
+use std::time::Duration;
+
+use serde::Serialize;
+use serde_json::Value;
+use tokio::sync::OnceCell;
+use tonic::Streaming;
+use trocar_proto::v1;
+
+use super::client::{self, Client};
+use super::failure::{Done, Exit, Failure};
+use super::question::{For, Row, Waiting};
+use super::view::{
+    ChangeView, DescribeView, ItemView, LogView, PluginView, ReplyView, RowView, SystemView, WaitView,
+};
+use super::{convert, out};
+use trocar::runtime_dir::Door;
+
+/// Port that a GCM listens on by default.
+pub(super) const DEFAULT_GCM: &str = "127.0.0.1:50551";
+
+/// Time beyond the deadline of a call that a GCM may take to report that the deadline passed.
+const SILENCE: Duration = Duration::from_secs(3);
+
+/// Address of the GCM, form of the answers, and the connection once there is one.
+pub(super) struct Session {
+    explicit: Option<String>,
+    json: bool,
+    client: OnceCell<Client>,
+}
+
+impl Session {
+    pub(super) fn new(gcm: Option<String>, json: bool) -> Self {
+        Self { explicit: gcm, json, client: OnceCell::new() }
+    }
+
+    pub(super) fn json(&self) -> bool {
+        self.json
+    }
+
+    /// Returns the value of `--gcm`, without the environment: for subcommands that are a process themselves.
+    pub(super) fn explicit_gcm(&self) -> Option<&str> {
+        self.explicit.as_deref()
+    }
+
+    pub(super) fn address(&self) -> String {
+        let from_env = || std::env::var("TROCAR_GCM").ok().filter(|a| !a.is_empty());
+        self.explicit.clone().or_else(from_env).unwrap_or_else(|| DEFAULT_GCM.to_owned())
+    }
+
+    /// Prints one JSON document on one line.
+    pub(super) fn print_json(&self, value: &impl Serialize) -> Done {
+        let text = serde_json::to_string(value).map_err(|e| {
+            Failure::local("INTERNAL", format!("cannot write JSON: {e}"), "please report this")
+        })?;
+        out::line(&out::json(&text));
+        Ok(Exit::Ok)
+    }
+
+    async fn client(&self) -> Result<Client, Failure> {
+        let addr = self.address();
+        let connect =
+            || async { Client::connect(&addr, Door::Calls).await.map_err(|e| Failure::no_gcm(&addr, &e)) };
+        self.client.get_or_try_init(connect).await.cloned()
+    }
+
+    /// The connection for Stop, which waits for nothing else that is asked.
+    async fn stopping(&self) -> Result<Client, Failure> {
+        let addr = self.address();
+        Client::connect(&addr, Door::Stop).await.map_err(|e| Failure::no_gcm(&addr, &e))
+    }
+
+    fn failed(&self, status: &tonic::Status) -> Failure {
+        let told = client::explain(status);
+        if told.late {
+            return Failure::late(&self.address());
+        }
+        if told.silent {
+            return Failure::silent(&self.address());
+        }
+        if told.transport {
+            return Failure::no_gcm(&self.address(), &told.message);
+        }
+        Failure::answered(told.code, &told.reason, told.message, told.help, told.metadata)
+    }
+
+    pub(super) async fn list(&self) -> Result<SystemView, Failure> {
+        self.list_of("").await
+    }
+
+    pub(super) async fn list_of(&self, path: &str) -> Result<SystemView, Failure> {
+        let ask = v1::ListRequest { path: path.to_owned(), ..v1::ListRequest::default() };
+        let answer = self.client().await?.gcm.list(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(convert::system(answer.get_ref()))
+    }
+
+    pub(super) async fn describe(&self, path: &str, class: bool) -> Result<DescribeView, Failure> {
+        if class {
+            return self.class(path).await;
+        }
+        let failure = match self.path(path).await {
+            Err(failure) if failure.reason.ends_with("_NOT_FOUND") => failure,
+            answered => return answered,
+        };
+        // A path that exists is tried first; a name under which no path exists may be a class.
+        self.class(path).await.map_err(|other| nor_a_class(path, failure, &other))
+    }
+
+    /// Describes the object at a path.
+    pub(super) async fn path(&self, path: &str) -> Result<DescribeView, Failure> {
+        self.described(path, v1::DescribeRequest { path: path.to_owned(), ..Default::default() }).await
+    }
+
+    /// The class of this name, if a plugin has one.
+    async fn class(&self, name: &str) -> Result<DescribeView, Failure> {
+        self.described(name, v1::DescribeRequest { class: name.to_owned(), ..Default::default() }).await
+    }
+
+    async fn described(&self, what: &str, ask: v1::DescribeRequest) -> Result<DescribeView, Failure> {
+        let answer = self.client().await?.gcm.describe(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(convert::description(what, answer.get_ref()))
+    }
+
+    pub(super) async fn invoke(
+        &self,
+        path: &str,
+        arg: Option<&Value>,
+        deadline_ns: u64,
+        send: bool,
+    ) -> Result<ReplyView, Failure> {
+        let ask = v1::InvokeRequest {
+            path: path.to_owned(),
+            json: arg.map(convert::to_wire),
+            deadline: Some(convert::duration(deadline_ns)),
+            send,
+            ..v1::InvokeRequest::default()
+        };
+        let a = self.client().await?.interact.invoke(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(ReplyView {
+            executed: a.executed,
+            value: a.json.as_ref().map(convert::from_wire),
+            unit: a.unit,
+            stamp_ns: a.stamp_ns,
+            age_ns: a.age_ns,
+        })
+    }
+
+    /// One row of a state table, or the newest sample of an output.
+    pub(super) async fn read(&self, path: &str, row: Option<Row>) -> Result<RowView, Failure> {
+        use v1::read_request::Row as Wire;
+        let row = row.map(|row| match row {
+            Row::At(ns) => Wire::AtNs(ns),
+            Row::Nearest(ns) => Wire::NearestNs(ns),
+            Row::Tick(tick) => Wire::Tick(tick),
+            Row::Delayed(rows) => Wire::Delayed(rows),
+        });
+        let ask = v1::ReadRequest { path: path.to_owned(), row, frame: false };
+        let a = self.client().await?.interact.read(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(convert::row(path, a.get_ref()))
+    }
+
+    pub(super) async fn wait_for(&self, waiting: &Waiting) -> Result<WaitView, Failure> {
+        let mut ask = v1::WaitForRequest {
+            path: waiting.path.clone(),
+            deadline: Some(convert::duration(waiting.deadline_ns)),
+            ..v1::WaitForRequest::default()
+        };
+        match &waiting.what {
+            For::States(states) => ask.states = convert::states(states),
+            For::Event(call) => {
+                ask.call = call.as_ref().map(|(path, arg)| v1::InvokeRequest {
+                    path: path.clone(),
+                    json: arg.as_ref().map(convert::to_wire),
+                    ..v1::InvokeRequest::default()
+                });
+            }
+        }
+        let mut ask = tonic::Request::new(ask);
+        // The GCM keeps the deadline; this is for one that does not answer any more.
+        ask.set_timeout(Duration::from_nanos(waiting.deadline_ns) + SILENCE);
+        let a = self.client().await?.gcm.wait_for(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(convert::waited(&waiting.path, a.get_ref()))
+    }
+
+    pub(super) async fn plugins(&self, process: &str) -> Result<Vec<PluginView>, Failure> {
+        let ask = v1::ListPluginsRequest { process: process.to_owned() };
+        let a = self.client().await?.plugin.list_plugins(ask).await.map_err(|s| self.failed(&s))?;
+        Ok(a.get_ref().plugins.iter().map(convert::plugin).collect())
+    }
+
+    /// Has hosts look again at plugins of this name; returns these plugins, and warnings.
+    pub(super) async fn recheck(
+        &self,
+        name: &str,
+        process: &str,
+        within: Duration,
+    ) -> Result<(Vec<PluginView>, Vec<String>), Failure> {
+        let ask = v1::RecheckRequest { name: name.to_owned(), process: process.to_owned() };
+        let mut ask = tonic::Request::new(ask);
+        ask.set_timeout(within);
+        let a = self.client().await?.plugin.recheck(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok((a.plugins.iter().map(convert::plugin).collect(), a.warnings))
+    }
+
+    pub(super) async fn subscribe(
+        &self,
+        paths: &[String],
+        rate_hz: f64,
+    ) -> Result<Follow<'_, v1::SubscribeResponse, ItemView>, Failure> {
+        let selection =
+            |path: &String| v1::Selection { path: path.clone(), max_rate_hz: rate_hz, thumbnail_width: 0 };
+        let ask = v1::SubscribeRequest { selections: paths.iter().map(selection).collect() };
+        let stream =
+            self.client().await?.interact.subscribe(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(Follow { session: self, stream, view: convert::item })
+    }
+
+    pub(super) async fn watch(
+        &self,
+        from: u64,
+    ) -> Result<Follow<'_, v1::WatchResponse, ChangeView>, Failure> {
+        let ask = v1::WatchRequest { from_revision: from, page_size: 0 };
+        let stream = self.client().await?.gcm.watch(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(Follow { session: self, stream, view: convert::change })
+    }
+
+    pub(super) async fn logs(
+        &self,
+        path: &str,
+        level: &str,
+        follow: bool,
+        last: Option<u32>,
+    ) -> Result<Follow<'_, v1::LogsResponse, LogView>, Failure> {
+        let ask = v1::LogsRequest {
+            path: path.to_owned(),
+            level: level.to_owned(),
+            follow,
+            last: last.unwrap_or(0),
+        };
+        let stream = self.client().await?.interact.logs(ask).await.map_err(|s| self.failed(&s))?.into_inner();
+        Ok(Follow { session: self, stream, view: convert::log_line })
+    }
+}
+
+/// Adds the classes of a plugin: a user who typed `plugin/Clas`, with a plugin that exists, meant a class.
+fn nor_a_class(path: &str, no_path: Failure, no_class: &Failure) -> Failure {
+    let Some((plugin, _)) = path.split_once('/') else { return no_path };
+    let known = no_class.metadata.get("known").map_or("", String::as_str);
+    let of_plugin: Vec<&str> =
+        known.split(',').filter(|class| class.split('/').next() == Some(plugin)).collect();
+    if of_plugin.is_empty() || no_path.reason != "PROCESS_NOT_FOUND" {
+        return no_path;
+    }
+    let message = format!(
+        "{}; nor has plugin `{plugin}` a class of this name: there is {}",
+        no_path.message,
+        of_plugin.join(", ")
+    );
+    Failure { message, ..no_path }
+}
+
+/// A stream of answers, each turned into what is shown.
+pub(super) struct Follow<'s, W, V> {
+    session: &'s Session,
+    stream: Streaming<W>,
+    view: fn(&W) -> V,
+}
+
+impl<W, V> Follow<'_, W, V> {
+    /// The next item; `None` when the server ended the stream.
+    pub(super) async fn next(&mut self) -> Result<Option<V>, Failure> {
+        let item = self.stream.message().await.map_err(|s| self.session.failed(&s))?;
+        Ok(item.as_ref().map(self.view))
+    }
+}
