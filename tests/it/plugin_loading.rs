@@ -106,8 +106,9 @@ fn a_component_whose_file_was_replaced_is_made_anew_of_its_own_code_for_another_
     let before = hash("host/s");
     replace_sine(&world, &grpc);
 
-    let faster = json!({ "path": "host/s", "execution": { "rate_hz": 250 } });
-    grpc.ok("GcmService/Configure", faster);
+    grpc.stop("host/s");
+    grpc.ok("GcmService/Configure", json!({ "path": "host/s", "execution": { "rate_hz": 250 } }));
+    grpc.start("host/s");
     assert_eq!(hash("host/s"), before, "its code changed without anybody asking for that");
     assert_advances(&grpc, "host/s");
     grpc.create("host/t", "sine", json!({}));

@@ -289,7 +289,7 @@ export async function a_component_that_does_not_tell_its_outputs_is_named_before
   await settled(page);
   await refuse(page, 'Describe', 'host/echo', 4, 'it answered too late');
   await begin(page, '**');
-  const unheard = 'host/echo did not tell its outputs: it answered too late';
+  const unheard = 'host/echo did not report its outputs: it answered too late';
   is(await page.locator('[data-unheard]').allInnerTexts(), [unheard], 'what is said before');
   await page.locator('[data-recorder]').getByText(`not recorded: ${unheard}`).waitFor();
   await shot(page, 'recording-unheard');

@@ -67,6 +67,8 @@ fn what_is_being_started_again_answers_when_the_help_says_so() {
     });
     eventually("its components are made anew", || match two.grpc.call("GcmService/Start", start.clone()) {
         Ok(_) => Ok(()),
+        // A Start that came between two restarts was carried out, and a sensor goes on after the next one.
+        Err(refused) if refused.reason == "WRONG_STATE" && two.grpc.state("right/off") == "ACTIVE" => Ok(()),
         Err(refused) => Err(format!("{refused:?}")),
     });
 }
