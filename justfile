@@ -15,7 +15,7 @@ ci:
 
 # The figures of docs/BENCHMARKS.md, alone on the machine.
 bench:
-    cargo build --profile dist -p trocar -p trocar-tests -p trocar-fixture-gauge -p trocar-eyerobot -p trocar-example
+    cargo build --profile dist -p trocar-cli -p trocar-tests -p trocar-fixture-gauge -p trocar-eyerobot -p trocar-example
     cargo build --release --manifest-path tests/bench/peers/Cargo.toml --target-dir target/peers
     TROCAR_BIN_DIR=$PWD/target/dist GRPCURL=$(find target/outer -name grpcurl -type f | head -1) ./target/dist/bench
 
@@ -29,7 +29,7 @@ bless:
     TROCAR_BLESS=1 cargo test -p trocar-model
     TROCAR_BLESS=1 cargo test -p trocar-plugin-api --features manifest
     TROCAR_BLESS=1 cargo test -p trocar-sdk --test c_payloads
-    TROCAR_BLESS=1 cargo test -p trocar
+    TROCAR_BLESS=1 cargo test -p trocar-cli --test cli_surface
 
 # Interleavings of the real-time core.
 loom:

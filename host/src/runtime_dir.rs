@@ -76,7 +76,7 @@ impl RuntimeDir {
     ///
     /// # Errors
     /// A directory that cannot be made, or is not this user's alone.
-    pub fn prepare(&self) -> io::Result<()> {
+    pub(crate) fn prepare(&self) -> io::Result<()> {
         DirBuilder::new().recursive(true).mode(0o700).create(&self.0)?;
         self.is_own()?;
         fs::set_permissions(&self.0, fs::Permissions::from_mode(0o700))?;
@@ -89,7 +89,7 @@ impl RuntimeDir {
     ///
     /// # Errors
     /// There is none, or it belongs to another user, or others can write it.
-    pub fn is_own(&self) -> io::Result<()> {
+    pub(crate) fn is_own(&self) -> io::Result<()> {
         let told = fs::symlink_metadata(&self.0)?;
         let own = geteuid().as_raw();
         if told.is_dir() && told.uid() == own && told.mode() & 0o022 == 0 {
@@ -106,13 +106,13 @@ impl RuntimeDir {
 
     /// The socket of this process beside the port `addr`. Networks have ports of their own, so its name names
     /// the network, too.
-    pub fn door(&self, addr: SocketAddr, door: Door) -> PathBuf {
+    pub(crate) fn door(&self, addr: SocketAddr, door: Door) -> PathBuf {
         self.0.join(format!("{}.{}", std::process::id(), tail(addr, door)))
     }
 
     /// The name by which clients find the socket beside the port `addr`, whichever process has it: it stays
     /// the same for those that connect again.
-    pub fn way(&self, addr: SocketAddr, door: Door) -> PathBuf {
+    pub(crate) fn way(&self, addr: SocketAddr, door: Door) -> PathBuf {
         self.0.join(format!("{WAY}{}", tail(addr, door)))
     }
 
@@ -170,7 +170,7 @@ impl RuntimeDir {
     ///
     /// # Errors
     /// There is none, it cannot be read, or others could have read it.
-    pub fn known_token(&self) -> io::Result<String> {
+    pub(crate) fn known_token(&self) -> io::Result<String> {
         let path = self.token_path();
         self.is_own()?;
         let no_link = OFlags::NOFOLLOW.bits().cast_signed();

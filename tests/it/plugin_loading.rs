@@ -46,27 +46,15 @@ fn an_empty_host_offers_a_class_after_its_file_was_copied_in() {
 
 #[test]
 fn a_removed_file_takes_its_class_away_but_not_its_components() {
-    let world = World::with_plugins(&["sine"]);
-    let host = HostProcess::start(&world);
-    let grpc = host.grpcurl();
-    grpc.await_class("host", "sine");
-    grpc.create("host/s", "sine", json!({}));
+    let (world, _host, grpc) = with_a_sine();
     grpc.start("host/s");
-    fs::remove_file(world.plugins().join("libtrocar_sine.so")).unwrap();
-    eventually("the class is gone", || match grpc.classes("host") {
-        none if none.is_empty() => Ok(()),
-        some => Err(some.join(", ")),
-    });
+    remove_sine(&world, &grpc);
     assert_advances(&grpc, "host/s");
 }
 
 #[test]
 fn truncating_the_file_of_a_running_plugin_is_not_noticed_by_it() {
-    let world = World::with_plugins(&["sine"]);
-    let host = HostProcess::start(&world);
-    let grpc = host.grpcurl();
-    grpc.await_class("host", "sine");
-    grpc.create("host/s", "sine", json!({}));
+    let (world, _host, grpc) = with_a_sine();
     grpc.start("host/s");
     let file = world.plugins().join("libtrocar_sine.so");
     fs::OpenOptions::new().write(true).open(&file).unwrap().set_len(4096).unwrap();
@@ -77,11 +65,7 @@ fn truncating_the_file_of_a_running_plugin_is_not_noticed_by_it() {
 
 #[test]
 fn a_reset_says_that_it_keeps_the_code_of_before() {
-    let world = World::with_plugins(&["sine"]);
-    let host = HostProcess::start(&world);
-    let grpc = host.grpcurl();
-    grpc.await_class("host", "sine");
-    grpc.create("host/s", "sine", json!({}));
+    let (world, _host, grpc) = with_a_sine();
     let reset = || grpc.ok("GcmService/Reset", json!({ "path": "host/s" })).to_string();
     assert!(!reset().contains("was created with"), "the file is the same one");
 
@@ -92,12 +76,8 @@ fn a_reset_says_that_it_keeps_the_code_of_before() {
 }
 
 #[test]
-fn a_component_whose_file_was_replaced_is_made_anew_of_its_own_code_for_another_thread() {
-    let world = World::with_plugins(&["sine"]);
-    let host = HostProcess::start(&world);
-    let grpc = host.grpcurl();
-    grpc.await_class("host", "sine");
-    grpc.create("host/s", "sine", json!({}));
+fn a_component_whose_file_was_replaced_or_removed_is_made_anew_of_its_own_code_for_another_thread() {
+    let (world, _host, grpc) = with_a_sine();
     grpc.start("host/s");
     let hash = |path: &str| {
         let told = grpc.ok("GcmService/Describe", json!({ "path": path }));
@@ -106,13 +86,37 @@ fn a_component_whose_file_was_replaced_is_made_anew_of_its_own_code_for_another_
     let before = hash("host/s");
     replace_sine(&world, &grpc);
 
-    grpc.stop("host/s");
-    grpc.ok("GcmService/Configure", json!({ "path": "host/s", "execution": { "rate_hz": 250 } }));
-    grpc.start("host/s");
-    assert_eq!(hash("host/s"), before, "its code changed without anybody asking for that");
-    assert_advances(&grpc, "host/s");
+    let goes_on_at = |rate_hz: u32| {
+        grpc.stop("host/s");
+        grpc.ok("GcmService/Configure", json!({ "path": "host/s", "execution": { "rate_hz": rate_hz } }));
+        grpc.start("host/s");
+        assert_eq!(hash("host/s"), before, "its code changed without anybody asking for that");
+        assert_advances(&grpc, "host/s");
+    };
+    goes_on_at(250);
     grpc.create("host/t", "sine", json!({}));
     assert_ne!(hash("host/t"), before, "a new component is of the new file");
+    remove_sine(&world, &grpc);
+    goes_on_at(500);
+}
+
+/// A host with a component `host/s` of the plugin `sine`, which does not run yet.
+fn with_a_sine() -> (World, HostProcess, Grpcurl) {
+    let world = World::with_plugins(&["sine"]);
+    let host = HostProcess::start(&world);
+    let grpc = host.grpcurl();
+    grpc.await_class("host", "sine");
+    grpc.create("host/s", "sine", json!({}));
+    (world, host, grpc)
+}
+
+/// Removes the file of the plugin `sine`, and waits until the host has seen that.
+fn remove_sine(world: &World, grpc: &Grpcurl) {
+    fs::remove_file(world.plugins().join("libtrocar_sine.so")).unwrap();
+    eventually("the class is gone", || match grpc.classes("host") {
+        none if none.is_empty() => Ok(()),
+        some => Err(some.join(", ")),
+    });
 }
 
 /// Puts the same code with a byte behind it, which is another file, in place of the plugin `sine`.

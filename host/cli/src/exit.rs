@@ -1,6 +1,6 @@
 //! Exit codes of the program, part of its interface.
 
-/// How a subcommand ended.
+/// The end of a subcommand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Exit {
     Ok = 0,

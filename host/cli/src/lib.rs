@@ -2,7 +2,7 @@
 //!
 //! Invariant: the whole surface (names, flags, help) is compared with `host/cli/tests/cli-surface.txt`. A
 //! subcommand only asks over gRPC what any client could ask, except those that are a process themselves
-//! (`host`, `gcm`, `run`, `demo`).
+//! (`host`, `gcm`, `run`, `up`, `demo`).
 #![forbid(unsafe_code)]
 
 mod alike;

@@ -1,4 +1,4 @@
-//! The one binary `trocar`: everything is in the library, so that other programs can hold a host too.
+//! The one binary `trocar`: everything is in the library beside it.
 //!
 //! Invariant: no logic here.
 #![forbid(unsafe_code)]

@@ -1,6 +1,7 @@
 //! Sources of component classes: plugin files, or classes linked into the executable.
 //!
-//! Invariant: the loaded file is the listed one, by its hash.
+//! Invariant: the code that is given has the hash that was asked for: it is the listed file's, or was in the
+//! process before.
 
 use std::sync::Arc;
 
@@ -17,8 +18,8 @@ pub trait Classes: Send + Sync {
     /// Makes the class's code callable. Blocks; never on a real-time thread.
     ///
     /// # Errors
-    /// PluginAbi, PluginUntrusted, PluginBadFile; ClassNotFound when the file has gone or changed since it
-    /// was listed.
+    /// PluginAbi, PluginUntrusted; PluginBadFile, also when the file changed since it was listed, and
+    /// ClassNotFound when it is gone, unless the code is in the process already.
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal>;
 
     /// The class `plugin/class` of the file with this hash, if its code is in this process already; loads

@@ -1,5 +1,5 @@
-//! What the others of this process hold of a component: enough to tell it that something has come, to ask how
-//! it stands, and to run its commands and handlers.
+//! The part of a component that the others of this process hold: enough to tell it that something has come,
+//! to ask how it stands, and to run its commands and handlers.
 //!
 //! Invariant: `gate` is the component's true state; only jobs on its executor and its own failures change it.
 //! A core names nothing that stands behind a slot, and lives as long as a binding holds it: after its
@@ -105,7 +105,7 @@ pub(super) trait Component: Send + Sync {
     fn wish_ports(&self);
 }
 
-/// What an instance has by its present ports from the beginning.
+/// Parts that an instance has by its present ports from the beginning.
 pub(super) struct Beginning {
     pub(super) external: Arc<Inbox>,
     pub(super) row_tap: Option<RowTap>,

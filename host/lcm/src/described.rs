@@ -12,8 +12,8 @@ use trocar_rt::mailbox::Mailbox;
 use trocar_rt::reply::ReplyPool;
 
 use super::boundary::{
-    ERR_BYTES, EventCell, EventTap, NoRoom, Slots, command_tap, row_tap, same, same_input, same_output,
-    same_provided, same_required,
+    ERR_BYTES, EventCell, EventTap, NoRoom, Reader, Slots, command_tap, row_tap, same, same_input,
+    same_output, same_provided, same_required,
 };
 use super::core::{CommandTap, RowTap};
 use super::goal::Goal;
@@ -129,6 +129,14 @@ impl PortSet {
     pub(super) fn system_event(&self, event: usize) -> &Arc<EventCell> {
         let system = self.ports.provided.len().saturating_sub(1);
         self.slots.event(self.ports.first_event(system) + event)
+    }
+
+    /// The way to the answer of the read at that position among the commands.
+    pub(super) fn reader(&self, command: usize) -> Reader {
+        match self.system_command(command) {
+            Some(which) => Reader::System(which),
+            None => Reader::Class(self.commands[command].clone()),
+        }
     }
 
     /// Number of the system interface's read at that position among the commands.

@@ -10,23 +10,12 @@ use trocar_model::Ports;
 use trocar_plugin_api::abi::{DISABLED, STATUS_FAILED};
 
 use super::boundary::{EntryError, EntryResult};
-use super::context;
 use super::described::PortSet;
 use super::inbox::Inbox;
 use super::instance::{Entered, Instance};
 use super::watch::Entry as Inside;
 
 impl Instance {
-    /// The ports by the present description.
-    pub(super) fn ports(&self) -> Arc<Ports> {
-        self.described.now.enter().ports.clone()
-    }
-
-    /// Requests a look at the ports: after a wish, and after its outcome. Any thread; never waits.
-    pub(super) fn look_at_ports(&self) {
-        context::wake(&self.hub.ports);
-    }
-
     /// Drops what was cut; asks for another look where a cycle under way may still look at that.
     pub(super) fn settle(&self) {
         if self.reclaim() > 0 {

@@ -192,7 +192,7 @@ impl Executor {
         Ok(executor)
     }
 
-    /// What its members know of it.
+    /// The part of it that its members know.
     pub(super) fn thread(&self) -> Thread {
         let Executor { id, pace, polls, .. } = *self;
         Thread { id, waker: self.waker.clone(), pace, polls }

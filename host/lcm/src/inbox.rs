@@ -306,8 +306,9 @@ impl Inbox {
         }
     }
 
-    /// Entries lost so far in the queue, by whatever policy, but those that a newer one replaced.
-    pub(super) fn lost(&self) -> u64 {
+    /// Entries lost so far in the queue, for the books: unlike [`Inbox::losses`] also commands that
+    /// `drop_oldest` threw out.
+    pub(super) fn counted_losses(&self) -> u64 {
         let stats = self.mailbox.stats();
         stats.rejected + stats.dropped.saturating_sub(stats.superseded)
     }

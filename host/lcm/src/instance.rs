@@ -10,13 +10,14 @@ use std::ops::Deref;
 use std::sync::{Arc, Weak};
 
 use trocar_loader::system;
-use trocar_model::{ClassInfo, ComponentId, Execution, State, StopReason};
+use trocar_model::{ClassInfo, ComponentId, Execution, Ports, State, StopReason};
 use trocar_plugin_api::abi::HostTable;
 use trocar_rt::state::state_table;
 
 use self::standing::Standing;
 use self::threads::Threads;
 use super::boundary::{AllRemains, EntryError, HostContext, LoadedClass, NoRoom, SharedTable};
+use super::context;
 use super::core::{Beginning, Component, Core};
 use super::described::Described;
 use super::desk::{Account, Asker};
@@ -110,6 +111,16 @@ impl Instance {
 
     pub(super) fn host_table(&self) -> *const HostTable {
         self.host_table.pointer()
+    }
+
+    /// The ports by the present description.
+    pub(super) fn ports(&self) -> Arc<Ports> {
+        self.described.now.enter().ports.clone()
+    }
+
+    /// Requests a look at the ports: after a wish, and after its outcome. Any thread; never waits.
+    pub(super) fn look_at_ports(&self) {
+        context::wake(&self.hub.ports);
     }
 
     /// Handles a failure that ends trust in the instance: safe state, FAULT, reported everywhere.
@@ -223,10 +234,13 @@ impl Asker for Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        // Its thread broke down before it was ended: a peer may still be inside, through its core.
+        // Not destroyed, so that its code may still use what it was given. The hub is kept with that, which
+        // keeps it: so they stay, whoever drops the LCM.
         if self.object.is_made() {
-            let used = Arc::new((self.host_table.clone(), self.described.all_slots()));
-            self.hub.retire(self.number, &self.id, used, "its instance was never destroyed");
+            let (hub, core) = (self.hub.clone(), self.core.clone());
+            let used = Arc::new((hub, core, self.host_table.clone(), self.described.all_slots()));
+            self.host.leave();
+            return self.hub.retire(self.number, &self.id, used, "its instance was never destroyed");
         }
         // While a cycle may look there, the follower of ports is woken.
         if self.remains.take(&self.host, self.host_table.clone(), self.described.all_slots()) {

@@ -1,4 +1,4 @@
-//! What one connection consists of, whatever carries it: the passage of its samples, the targets of its
+//! The parts of one connection, whatever carries it: the passage of its samples, the targets of its
 //! functions, the depth of its queues.
 
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use trocar_model::{Command, Connection, CopyRun, Input, PortType, Queue, Refusal
 use trocar_rt::mailbox::Overflow;
 use trocar_rt::stream::{self, DropPolicy, Payload};
 
-use super::boundary::{CommandTarget, FnBinding, Lane, OutCell, RangeCheck, ReadTarget, Reader, Shape};
+use super::boundary::{CommandTarget, FnBinding, Lane, OutCell, RangeCheck, ReadTarget, Shape};
 use super::core::Core;
 use super::described::PortSet;
 use super::goal::Goal;
@@ -106,10 +106,7 @@ pub(super) fn target(
     let range = command.arg.as_ref().and_then(RangeCheck::of);
     match command.kind.is_read() {
         true => {
-            let from = match set.system_command(id) {
-                Some(which) => Reader::System(which),
-                None => Reader::Class(set.commands[id].clone()),
-            };
+            let from = set.reader(id);
             FnBinding::Read(ReadTarget { server: server.clone(), from, arg_bytes, ret_bytes, range })
         }
         false => FnBinding::Command(CommandTarget {

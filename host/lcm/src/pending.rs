@@ -1,8 +1,8 @@
 //! State rows that are published a little later: after inline commands of the thread that runs the component.
 //!
 //! Invariant: the delay cannot be noticed. A row is published before this thread reads it, before anything
-//! leaves this thread for another one, and at the end of the cycle. `Instance::owed` is set only while the
-//! instance stands in its thread's list.
+//! leaves this thread for another one, and at the end of the cycle. `Core::owed` is set only while the
+//! core stands in its thread's list.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;

@@ -103,7 +103,8 @@ impl Classes for StoreClasses {
     }
 
     fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
-        let hash = Hash::parse(hash)?;
+        // A look: a link must not wait until a plugin is tried and loaded.
+        let hash = Hash::parse(hash).filter(|hash| self.store.is_loaded(hash))?;
         let loaded = self.store.resident(name, &hash)?;
         let classes = self.converted(hash, &loaded.plugin.manifest).as_ref().clone().ok()?;
         let class = classes.into_iter().find(|class| class.full_name() == name)?;

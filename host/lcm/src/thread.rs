@@ -1,4 +1,4 @@
-//! What a component knows of the thread it runs on.
+//! The part of a thread that its components know.
 
 use std::sync::Arc;
 

@@ -270,7 +270,7 @@ impl PluginStore {
     }
 
     /// The class `plugin/class` of the file with this hash, if its code is in the process, whichever file of
-    /// that plugin is listed now. Loads nothing; waits while that very content is being loaded.
+    /// that plugin is listed now. Loads nothing; waits while that very content is being tried or loaded.
     pub fn resident(&self, full_name: &str, hash: &Hash) -> Option<LoadedClass> {
         let slot = self.loaded.lock().get(hash).cloned()?;
         let plugin = slot.lock().clone()?;

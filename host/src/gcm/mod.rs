@@ -20,7 +20,7 @@ mod wanted;
 // The manager, which owns the data.
 mod manager;
 
-// What drives a change.
+// The drivers of a change.
 mod carrying;
 mod far;
 mod heard;

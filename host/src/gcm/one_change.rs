@@ -1,4 +1,4 @@
-//! One change: done by its LCM, then entered in the graph.
+//! Carries out a single change: its LCM does it, then it is entered in the graph.
 //!
 //! Invariant: a change is entered only after its LCM did it, and the wait for the LCM ends by the deadline.
 

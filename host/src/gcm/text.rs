@@ -6,6 +6,7 @@ use trocar_model::{Change, Plan, Verb};
 
 use crate::system_file::words::{executions, settings};
 
+/// Returns a plan as lines for people, one for each change.
 pub fn lines(plan: &Plan) -> Vec<String> {
     let one = |(at, change): (usize, &Change)| match anew(change, &plan.changes[..at]) {
         Some(from) => line(change) + &from,

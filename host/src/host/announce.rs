@@ -22,15 +22,18 @@ const STOP: &str = "stop\n";
 /// This process's socket; removed on drop.
 pub(super) struct Announcement(Placed);
 
-/// Answer of one process.
+/// The answer of one process that was asked to stop its components.
 #[derive(Clone, Debug)]
-pub struct Answer {
+pub struct Stopped {
+    /// The process by the kernel's number.
     pub pid: u32,
-    /// Text of the answer: Ok when everything stands still.
+    /// The text of its answer when everything stands still; otherwise the reason why not, as far as one is
+    /// known.
     pub result: Result<String, String>,
 }
 
-impl Answer {
+impl Stopped {
+    /// The text either way.
     pub fn text(&self) -> &str {
         match &self.result {
             Ok(text) | Err(text) => text,
@@ -100,12 +103,14 @@ impl Drop for Announcement {
     }
 }
 
-/// Asks every host process of this user on this machine to stop its components, all at once.
-pub async fn stop_everything() -> Vec<Answer> {
+/// Asks every host process of this user on this machine, of whatever system, to stop its components, all at
+/// once; the calling one, too. Needs a tokio runtime; takes as long as the slowest answer, seconds at most.
+/// Empty where there are none, or where their directory is another user's.
+pub async fn stop_everything() -> Vec<Stopped> {
     stop_everything_in(&RuntimeDir::of_user()).await
 }
 
-async fn stop_everything_in(dir: &RuntimeDir) -> Vec<Answer> {
+async fn stop_everything_in(dir: &RuntimeDir) -> Vec<Stopped> {
     if let Err(e) = dir.is_own() {
         log::debug!("no sockets of this user's hosts: {e}");
         return Vec::new();
@@ -123,7 +128,7 @@ async fn stop_everything_in(dir: &RuntimeDir) -> Vec<Answer> {
 }
 
 /// Asks one process; `None`: no process listens at this socket any more.
-async fn ask(path: &Path) -> Option<Answer> {
+async fn ask(path: &Path) -> Option<Stopped> {
     let pid = pid_of(path)?;
     let mut stream = match UnixStream::connect(path).await {
         Ok(stream) => stream,
@@ -145,7 +150,7 @@ async fn ask(path: &Path) -> Option<Answer> {
     };
     let silent = format!("no answer within {} s", PATIENCE.as_secs());
     let result = tokio::time::timeout(PATIENCE, talk).await.unwrap_or(Err(silent));
-    Some(Answer { pid, result })
+    Some(Stopped { pid, result })
 }
 
 #[cfg(test)]

@@ -85,7 +85,7 @@ pub struct Display {
     screen: Screen,
 }
 
-/// Where people look.
+/// The window that people look at.
 #[derive(Default)]
 struct Screen {
     window: Option<(Window, Giver)>,

@@ -113,6 +113,43 @@ fn a_step_allocates_nothing() {
     bench.assert_no_alloc(|bench| (0..200).for_each(|index| show(bench, index)));
 }
 
+/// Gives each frame away in its step, as the display does to its window.
+#[derive(Component)]
+#[component(model = "on_signal")]
+struct Giving {
+    #[input]
+    image: In<Frame<StereoHeader>>,
+    #[state]
+    given: u64,
+    ends: Option<(Giver, crate::handoff::Taker)>,
+}
+
+impl Component for Giving {
+    fn start(&mut self) -> Result {
+        self.ends = Some(crate::handoff::pair(2 * 3 * 16 * 16));
+        Ok(())
+    }
+
+    fn step(&mut self, _: &Tick) -> Result {
+        while let (Some(frame), Some((giver, _))) = (self.image.next(), &mut self.ends) {
+            self.given += u64::from(giver.give(frame.header(), frame.bytes()));
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn a_frame_for_the_window_is_copied_without_an_allocation() {
+    let mut bench = Bench::<Giving>::new("{}");
+    let show = |bench: &mut Bench<Giving>, index: u64| {
+        bench.push_frame("image", header(index, 16), &[7; 2 * 3 * 16 * 16]);
+        bench.step(1);
+    };
+    (0..50).for_each(|index| show(&mut bench, index));
+    bench.assert_no_alloc(|bench| (0..200).for_each(|index| show(bench, index)));
+    assert_eq!(bench.state().given, 250);
+}
+
 #[test]
 fn frames_whose_header_lies_are_counted() {
     let mut bench = Bench::<Display>::new(r#"{"max_width": 8, "max_height": 8}"#);

@@ -16,7 +16,6 @@ use crate::freshness::Freshness;
 use crate::handoff::{Giver, pair};
 
 /// The settings that a window is opened with.
-#[cfg_attr(not(feature = "window"), allow(dead_code))]
 pub(crate) struct Settings {
     pub(crate) title: String,
     /// Name of its thread.
@@ -26,7 +25,7 @@ pub(crate) struct Settings {
     pub(crate) height: usize,
     pub(crate) max_bytes: usize,
     pub(crate) host: Host,
-    /// Of the newest frame.
+    /// The age of the newest frame.
     pub(crate) freshness: Arc<Freshness>,
 }
 

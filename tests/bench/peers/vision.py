@@ -95,7 +95,7 @@ def build(only_examples):
         subprocess.run(["cargo", "build", "--release", "-q", "-p", package, "--example", example], cwd=ROOT, check=True)
     if only_examples:
         return
-    names = ["trocar", "trocar-display", "trocar-stereo", "trocar-stereo-depth", "trocar-vision-filters", "trocar-oct",
+    names = ["trocar-cli", "trocar-display", "trocar-stereo", "trocar-stereo-depth", "trocar-vision-filters", "trocar-oct",
              "trocar-fixture-ledger"]
     packages = [word for name in names for word in ("-p", name)]
     subprocess.run(["cargo", "build", "--release", "-q", *packages], cwd=ROOT, check=True)

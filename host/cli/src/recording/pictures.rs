@@ -9,10 +9,8 @@ use std::path::Path;
 use png::{BitDepth, ColorType};
 use prost_reflect::{DynamicMessage, ReflectMessage};
 
-use super::planes::{Row, tight};
+use super::planes::{LARGEST, Row, tight};
 
-/// Largest side of a picture, pixels.
-const LARGEST: u32 = 1 << 15;
 /// Pixels of a compressed picture at most: a byte of it may stand for 62.
 const MOST: u64 = 1 << 26;
 
@@ -106,8 +104,8 @@ fn qoi_picture(data: &[u8]) -> Option<Picture> {
     let header = qoi::decode_header(data).ok()?;
     // A byte of QOI is at most 62 pixels: a header that promises more lies.
     let most = (data.len() as u64).saturating_mul(62).min(MOST);
-    if header.width > LARGEST
-        || header.height > LARGEST
+    if header.width as usize > LARGEST
+        || header.height as usize > LARGEST
         || u64::from(header.width) * u64::from(header.height) > most
     {
         return None;

@@ -8,7 +8,7 @@ use super::columns::Cell;
 use super::npz::Item;
 
 /// Largest side of an image, pixels.
-const LARGEST: usize = 1 << 15;
+pub(super) const LARGEST: usize = 1 << 15;
 
 /// Part of an array that one message adds.
 #[derive(Debug, PartialEq)]
@@ -110,7 +110,9 @@ pub(super) fn tight(
     if step < line || bytes.len() < step.checked_mul(height - 1)?.checked_add(line)? {
         return None;
     }
-    Some(bytes.chunks(step).take(height).flat_map(|row| &row[..line]).copied().collect())
+    let mut tight = Vec::with_capacity(line * height);
+    bytes.chunks(step).take(height).for_each(|row| tight.extend_from_slice(&row[..line]));
+    Some(tight)
 }
 
 #[cfg(test)]

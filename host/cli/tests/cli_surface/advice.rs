@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 /// Places of texts for people.
-const SOURCES: [&str; 4] = ["src", "../src", "../model/src", "../links/src"];
+const SOURCES: [&str; 7] =
+    ["src", "../src", "../model/src", "../links/src", "../loader/src", "../lcm/src", "../rt/src"];
 
 #[test]
 fn every_command_a_text_names_is_taken_by_the_command_line() {

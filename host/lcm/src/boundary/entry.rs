@@ -339,8 +339,8 @@ impl<T> Entered<'_, T> {
         };
         let mut made = ptr::null_mut();
         guarded(self.err_buf(), |err| {
-            // SAFETY: host outlives the instance (both belong to the same `Instance`); name and err live for
-            // the call.
+            // SAFETY: host outlives the instance: the `Instance` holds it until `destroy`, and one that is
+            // never destroyed is kept. name and err live for the call.
             made = unsafe { create(host, bytes(name.as_bytes()), err) };
             if made.is_null() { STATUS_FAILED } else { STATUS_OK }
         })?;
@@ -382,7 +382,8 @@ impl<T> Entered<'_, T> {
     pub(crate) fn bind(&mut self, ports: *const Ports) -> Result<(), EntryError> {
         let this = self.made()?;
         match entry!(self.object.table, bind) {
-            // SAFETY: a live instance; the slot tables live as long as it (`Slots` of the same `Instance`).
+            // SAFETY: a live instance; the slot tables outlive it: the `Instance` holds them until `destroy`,
+            // and one that is never destroyed is kept.
             Some(bind) => guarded(self.err_buf(), |err| unsafe { bind(this, ports, err) }),
             None => Ok(()),
         }

@@ -58,7 +58,7 @@ impl HostContext {
     }
 
     /// Tells the desk that the component is gone.
-    pub(super) fn leave(&self) {
+    pub(crate) fn leave(&self) {
         self.desk.leave(self.number);
     }
 

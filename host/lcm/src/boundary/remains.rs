@@ -69,7 +69,7 @@ impl AllRemains {
     pub(crate) fn reclaim(&self) -> usize {
         let list = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
         let before = list().clone();
-        // Outside the lock: the last owner of another component may be dropped, which comes here, too.
+        // Outside the lock: dropping links and cores takes time.
         let is_done = |slots: &Weak<Slots>| slots.upgrade().is_none_or(|slots| slots.reclaim() == 0);
         let done: Vec<_> = before.into_iter().filter(is_done).collect();
         let mut in_use = list();

@@ -110,8 +110,8 @@ impl Joined for OnHeap {
                 }
                 self.server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
                 self.client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
-                self.server.books.lose(commands_in.events, commands_in.lost());
-                self.client.books.lose(events_in.events, events_in.lost());
+                self.server.books.lose(commands_in.events, commands_in.counted_losses());
+                self.client.books.lose(events_in.events, events_in.counted_losses());
                 commands_in.close(PEER_LOST);
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);

@@ -63,7 +63,7 @@ impl Core {
     pub(crate) fn queue_losses(&self) -> [u64; 2] {
         let mut lost = self.books.lost_before();
         for inbox in self.peers.inboxes.enter().iter() {
-            lost[usize::from(inbox.events)] += inbox.lost();
+            lost[usize::from(inbox.events)] += inbox.counted_losses();
         }
         lost
     }

@@ -1,4 +1,4 @@
-//! How a component is told that data or calls wait for it, and its watchdog that a peer came or went.
+//! Ways to tell a component that data or calls wait for it, and its watchdog that a peer came or went.
 //!
 //! Invariant: a mark that was set is seen by its thread before that rests; a thread that polls is not woken.
 

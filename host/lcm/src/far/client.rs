@@ -242,7 +242,7 @@ impl ClientWires {
             ClientWires::Calls { functions, events_in, bell, .. } => {
                 functions.iter().for_each(|f| f.unbind());
                 client.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, events_in)));
-                client.books.lose(events_in.events, events_in.lost());
+                client.books.lose(events_in.events, events_in.counted_losses());
                 let before = events_in.unexecuted();
                 events_in.close(PEER_LOST);
                 client.books.lose(events_in.events, events_in.unexecuted() - before);

@@ -1,4 +1,5 @@
-//! Checks whether the code of a server's class is in the process of its client, too: then that sees its rows.
+//! Checks whether the code of a server's class is in the process of its client, too: then the client sees its
+//! rows.
 //!
 //! Invariant: nothing is loaded for it. An isolated process keeps out the code from which it was isolated; a
 //! process that has the code already trusts it with its own components.

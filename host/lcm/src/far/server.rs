@@ -19,7 +19,7 @@ use trocar_rt::wake::Waker;
 
 use super::super::books::Misuse;
 use super::super::boundary::{
-    Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Reader, Shape,
+    Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Shape,
 };
 use super::super::core::{ShownRows, View};
 use super::super::described::PortSet;
@@ -122,18 +122,11 @@ impl Bound<'_> {
         self.binding.functions.iter().map(|(_, id)| *id)
     }
 
-    fn reader(&self, id: usize) -> Reader {
-        match self.set.system_command(id) {
-            Some(which) => Reader::System(which),
-            None => Reader::Class(self.set.commands[id].clone()),
-        }
-    }
-
     fn reading(&self, id: usize) -> Option<Reading> {
         Reading::of(&self.set.ports, &self.all, id, self.shows_rows)
     }
 
-    /// What an entry for this command has to meet, which another process puts into the queue.
+    /// Conditions on an entry for this command that another process puts into the queue.
     fn check(&self, id: usize) -> Check {
         let arg = self.all[id].arg.as_ref();
         Check { bytes: size(arg.map(|a| &a.ty)), range: arg.and_then(RangeCheck::of) }
@@ -148,7 +141,7 @@ impl Bound<'_> {
         let published = self.ids().filter(|id| self.reading(*id) == Some(Reading::Published));
         let shown = published
             .zip(tables)
-            .map(|(id, (results, whys))| Shown::new(self.reader(id), self.ret_bytes(id), results, whys));
+            .map(|(id, (results, whys))| Shown::new(self.set.reader(id), self.ret_bytes(id), results, whys));
         shown.collect()
     }
 
@@ -163,7 +156,7 @@ impl Bound<'_> {
         let asked = |id: usize| matches!(self.reading(id), Some(Reading::Asked | Reading::Here));
         let served = self.ids().enumerate().filter(|(_, id)| asked(*id)).map(|(index, id)| {
             let Check { bytes: arg_bytes, range } = self.check(id);
-            let (from, ret_bytes) = (self.reader(id), self.ret_bytes(id));
+            let (from, ret_bytes) = (self.set.reader(id), self.ret_bytes(id));
             Served { index: index as u32, from, arg_bytes, range, ret_bytes }
         });
         served.collect()
@@ -267,7 +260,7 @@ impl ServerWires {
                     views.retain(|view| !std::ptr::addr_eq(Arc::as_ptr(view), Arc::as_ptr(face)))
                 });
                 server.edit_inboxes(|all| all.retain(|i| !Arc::ptr_eq(i, commands_in)));
-                server.books.lose(commands_in.events, commands_in.lost());
+                server.books.lose(commands_in.events, commands_in.counted_losses());
                 commands_in.close(PEER_LOST);
                 server.books.lose(commands_in.events, commands_in.unexecuted());
                 commands_in.tell_toll(&**server);

@@ -313,8 +313,9 @@ impl Worker {
         drop(cut);
     }
 
-    fn said(&mut self, session: &Arc<Session>, message: Message) {
-        let (words, behind) = match Words::decode(&message.bytes) {
+    fn said(&mut self, session: &Arc<Session>, mut message: Message) {
+        let bytes = std::mem::take(&mut message.bytes);
+        let (words, behind) = match Words::decode(&bytes) {
             Ok(said) => said,
             Err(why) => return session.condemn(&why),
         };
@@ -337,10 +338,7 @@ impl Worker {
             return;
         }
         match half.role {
-            Role::Client => {
-                let behind = behind.to_vec();
-                self.said_by_server(session, &half, words, &behind, message);
-            }
+            Role::Client => self.said_by_server(session, &half, words, behind, message),
             Role::Server => self.said_by_client(session, &half, words, behind),
         }
     }

@@ -41,6 +41,8 @@ fn still_connected(instance: &Instance, verb: Verb) -> Result<(), Refusal> {
 const HUNG: Duration = Duration::from_secs(1);
 /// Reason why a removed component is not destroyed.
 const STRAYS: &str = "threads of its own still run";
+/// Likewise, of one that no thread was left to destroy.
+const BROKE: &str = "its thread broke down before that";
 /// Time between two looks whether that still holds.
 const LOOK: Duration = Duration::from_millis(10);
 /// A moment on the monotonic clock that never comes, ns.
@@ -422,7 +424,7 @@ impl LocalLcm {
         let number = slot.instance.number;
         let (tell, told) = oneshot::channel();
         let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
-        // EntryResult whenever its thread comes to it, also long after the remover has given up.
+        // Its thread does this whenever it comes to it, also long after the remover has given up.
         slot.executor.submit(move |crew| {
             crew.members.retain(|m| m.instance.number != number);
             end(&ward, crew.members.is_empty());
@@ -432,7 +434,15 @@ impl LocalLcm {
                 retire(&ward.instance, STRAYS);
             }
         });
-        let done = tokio::time::timeout_at(patience.into(), told).await.is_ok();
+        let told = tokio::time::timeout_at(patience.into(), told).await;
+        if let Ok(Err(_)) = told
+            && slot.instance.object.is_made()
+        {
+            // The thread ended without it. A peer may be inside still, and owes it that it is made safe.
+            retire(&slot.instance, BROKE);
+            report.warnings.push(format!("{id} is removed, but not destroyed: {BROKE}"));
+        }
+        let done = told.is_ok();
         if !done {
             report.warnings.push(self.leave_behind(&slot));
         }

@@ -110,8 +110,8 @@ impl LocalLcm {
         held.leaving.len()
     }
 
-    /// Waits until then for the cycles that may still look at cut wires. No later look follows: two
-    /// components that were connected to each other would keep each other for ever.
+    /// Waits until then for the cycles that may still look at cut wires, and so at what is dropped next. No
+    /// later look follows.
     pub(super) async fn drop_left(&self, until: Instant) {
         loop {
             match self.reclaim_left() {

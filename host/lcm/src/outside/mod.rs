@@ -29,7 +29,7 @@ pub(super) struct Outside {
     events: Shared<(u32, MemberId), event::SharedEvent>,
 }
 
-/// What is looked at from outside: the components of this process and their news.
+/// The components of this process and their news, as they are looked at from outside.
 pub(super) trait Shows {
     /// # Errors
     /// There is no such component.

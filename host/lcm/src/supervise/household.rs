@@ -1,5 +1,5 @@
-//! What a process that is a host and nothing else looks after: locale, umask, signal handlers, standard
-//! streams.
+//! The settings that a process looks after which is a host and nothing else: locale, umask, signal handlers,
+//! standard streams.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

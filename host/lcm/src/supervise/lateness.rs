@@ -1,4 +1,4 @@
-//! How late the watchdog itself was: a component is not blamed for it.
+//! The watchdog's own lateness: a component is not blamed for it.
 
 /// Longest time of a wake that does not count as lateness, ns: over the hundreds of looks in one patience it
 /// must not add up to a pardon.

@@ -1,4 +1,7 @@
 //! A moment, as the kernel counts threads: which threads came before it, and which after.
+//!
+//! Invariant: it is certain only where the kernel says its last number; elsewhere threads are compared by
+//! their times.
 
 use std::fs;
 

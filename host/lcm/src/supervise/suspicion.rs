@@ -1,4 +1,6 @@
 //! Looks at a component around its step, while it is one of several suspects.
+//!
+//! Invariant: a step costs these system calls only while its component is suspected.
 
 use std::path::PathBuf;
 

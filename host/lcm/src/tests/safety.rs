@@ -182,6 +182,30 @@ async fn an_actuator_that_hangs_in_a_callers_thread_is_made_safe_by_that_caller_
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_actuator_that_is_removed_after_its_thread_broke_down_is_kept_and_made_safe_by_the_caller_inside()
+{
+    let world = World::new("f_broke_inside");
+    let (gate, open) = Gate::at("command");
+    let arm = Arc::new(Arm::default());
+    let passive = Arc::new(Passive(gate.clone(), arm.clone()));
+    world.create_as("arm", arm_class(false), model(ExecutionModel::None), passive).await;
+    world.start("arm").await;
+    let executor = world.lcm.executor_of(&world.lcm.instance(&world.id("arm")).unwrap()).unwrap();
+    let remove = async {
+        gate.is_inside().await;
+        executor.submit(|_| panic!("as no job should"));
+        world.eventually("FAULT", "arm", |r| r.state == State::Fault).await;
+        let removed = world.apply(super::removal::destroy(&world, "arm")).await.unwrap();
+        assert!(removed.warnings.iter().any(|w| w.contains("not destroyed")), "{removed:?}");
+        assert_eq!((world.lcm.retired(), arm.made_safe()), (1, 0), "the caller is inside");
+        open.send(()).unwrap();
+    };
+    let (_answer, ()) = tokio::join!(world.call("arm"), remove);
+    eventually("made safe", || arm.made_safe() == 1).await;
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_step_that_still_runs_is_an_overrun_as_soon_as_its_period_is_over() {
     let world = World::new("f_overrun");
     let (slow, open) = Gate::at("step");

@@ -7,10 +7,10 @@ use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::HeaderMap;
 use axum::http::header::AUTHORIZATION;
+use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::Next;
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use http_body_util::BodyExt;
 use parking_lot::Mutex;
 use tokio::sync::Semaphore;
@@ -20,7 +20,7 @@ use trocar_model::Refusal;
 use trocar_rt::os::now_ns;
 
 use super::{Peer, PortRules, Viewer};
-use crate::control::kind::is_native;
+use crate::control::kind::{is_grpc, is_native};
 use crate::control::status::status;
 use crate::runtime_dir::RuntimeDir;
 
@@ -150,7 +150,12 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
                 let said = format!(
                     "other users' programs have {READERS} requests open here, which is all they get: end some, or ask again"
                 );
-                Status::resource_exhausted(said).into_http::<Body>()
+                // A program that reads video looks at the HTTP status alone.
+                if is_grpc(request.headers()) {
+                    Status::resource_exhausted(said).into_http::<Body>()
+                } else {
+                    (StatusCode::SERVICE_UNAVAILABLE, said + "\n").into_response()
+                }
             }
         },
         _ => next.run(request).await,

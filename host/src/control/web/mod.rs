@@ -1,4 +1,5 @@
-//! The viewer on the gRPC port: its files, gRPC-Web for it, and the guard that keeps other web sites out.
+//! The viewer on the gRPC port: its files, gRPC-Web for it, pictures for programs without gRPC, and the guard
+//! that keeps other web sites out.
 //!
 //! Invariant: every request of a browser passes `guard` first; programs that speak gRPC are served as if
 //! there were no page.

@@ -15,6 +15,7 @@ use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use tokio::sync::watch;
+use tokio::time::{Instant, timeout_at};
 use tokio_stream::wrappers::WatchStream;
 use tokio_stream::{Stream, StreamExt, once};
 use tonic::{Code, Request, Status};
@@ -48,7 +49,7 @@ async fn pictures(State(edge): State<Edge>, uri: Uri) -> Response {
         Ok(items) => items.into_inner(),
         Err(status) => return said(as_http(status.code()), status.message()),
     };
-    let mut jpegs = Box::pin(newest(items).timeout(STILL).map_while(Result::ok));
+    let mut jpegs = Box::pin(newest(items).take_while(|jpeg| !jpeg.is_empty()));
     let Some(first) = jpegs.next().await else {
         let why = format!("{path} gave no picture within {} s: is it running?", STILL.as_secs_f64());
         return said(StatusCode::SERVICE_UNAVAILABLE, &why);
@@ -58,23 +59,29 @@ async fn pictures(State(edge): State<Edge>, uri: Uri) -> Response {
     (headers, Body::from_stream(parts.map(Ok::<Bytes, Infallible>))).into_response()
 }
 
-/// The newest picture, whenever its reader is ready for one.
+/// The newest picture, whenever its reader is ready for one; an empty one when it stands still, however long
+/// the reader does not look.
 fn newest(
     mut items: impl Stream<Item = Result<v1::SubscribeResponse, Status>> + Send + Unpin + 'static,
 ) -> WatchStream<Vec<u8>> {
     let (show, shown) = watch::channel(Vec::new());
     tokio::spawn(async move {
+        let mut still = Instant::now() + STILL;
         loop {
             let item = tokio::select! {
                 () = show.closed() => return,
-                item = items.next() => item,
+                item = timeout_at(still, items.next()) => item,
             };
             match item {
-                Some(Ok(item)) if item.jpeg.is_empty() => {}
-                Some(Ok(item)) => _ = show.send_replace(item.jpeg),
-                Some(Err(_)) | None => return,
+                Ok(Some(Ok(item))) if item.jpeg.is_empty() => {}
+                Ok(Some(Ok(item))) => {
+                    still = Instant::now() + STILL;
+                    show.send_replace(item.jpeg);
+                }
+                Ok(Some(Err(_)) | None) | Err(_) => break,
             }
         }
+        show.send_replace(Vec::new());
     });
     WatchStream::from_changes(shown)
 }
@@ -84,7 +91,7 @@ fn part(jpeg: Vec<u8>) -> Bytes {
     [head.as_bytes(), &jpeg, b"\r\n", BOUNDARY.as_bytes()].concat().into()
 }
 
-/// What a query asks for: `path=…&width=…`, both optional.
+/// The selection that a query asks for: `path=…&width=…`, both optional.
 fn selection(query: &str, shown: impl FnOnce() -> Option<String>) -> Result<v1::Selection, String> {
     let (mut path, mut width) = (None, WIDTH_PX);
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
@@ -119,4 +126,26 @@ fn as_http(code: Code) -> StatusCode {
 
 fn said(status: StatusCode, why: &str) -> Response {
     (status, format!("{why}\n")).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use tokio::sync::mpsc;
+    use tokio_stream::wrappers::ReceiverStream;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_reader_that_looks_late_is_shown_the_end_and_no_old_picture() {
+        let (give, items) = mpsc::channel(1);
+        let mut shown = newest(ReceiverStream::new(items));
+        let picture = v1::SubscribeResponse { jpeg: b"old".to_vec(), ..v1::SubscribeResponse::default() };
+        give.send(Ok(picture)).await.unwrap();
+        // No more are taken once they stand still.
+        give.closed().await;
+        assert_eq!(shown.next().await, Some(Vec::new()));
+        assert_eq!(shown.next().await, None);
+    }
 }

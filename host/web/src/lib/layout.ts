@@ -166,7 +166,7 @@ function reached(from: string[], connections: Connection[]): Set<string> {
   return seen;
 }
 
-/// What ELK is told, so that rows of boxes fill the room: their width is this times the root of the area
+/// The ratio given to ELK, so that rows of boxes fill the room: their width is this times the root of the area
 /// of the boxes. Gaps take 0.6 of that area again.
 const packed = (room: Room): number => Math.sqrt((1.6 * room.width) / room.height);
 
