@@ -194,7 +194,7 @@ const FLOORS: [(&str, &[&str]); 5] = [
             "classes",
         ],
     ),
-    ("joining", &["connect", "carriers", "far", "ends", "passage"]),
+    ("joining", &["connect", "carriers", "remote", "ends", "passage"]),
     ("component", &["executor", "cycle", "supervise", "dynamic", "instance"]),
     ("cell", &["described", "boundary", "core", "inbox"]),
     (
@@ -203,7 +203,7 @@ const FLOORS: [(&str, &[&str]); 5] = [
             "books",
             "concern",
             "context",
-            "desk",
+            "request_queue",
             "gate",
             "goal",
             "hub",

@@ -25,6 +25,6 @@ interleavings! {
     interleavings_of_linked_classes_leave_the_books_in_order: Language::Linked, Near, 1..201;
     interleavings_of_rust_plugins_leave_the_books_in_order: Language::Rust, Near, 201..401;
     interleavings_of_cpp_plugins_leave_the_books_in_order: Language::Cpp, Near, 401..601;
-    interleavings_of_rust_plugins_in_two_processes_leave_the_books_in_order: Language::Rust, Far, 601..701;
-    interleavings_of_cpp_plugins_that_call_rust_in_two_processes_leave_the_books_in_order: CPP_CALLS_RUST, Far, 701..801;
+    interleavings_of_rust_plugins_in_two_processes_leave_the_books_in_order: Language::Rust, Remote, 601..701;
+    interleavings_of_cpp_plugins_that_call_rust_in_two_processes_leave_the_books_in_order: CPP_CALLS_RUST, Remote, 701..801;
 }

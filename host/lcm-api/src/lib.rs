@@ -32,7 +32,7 @@ pub trait Lcm: Send + Sync {
     ///
     /// # Errors
     /// Unreachable, with the reason; then there is no half.
-    async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal>;
+    async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal>;
 
     /// Calls a command. Reads are answered from the published state row.
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal>;
@@ -81,7 +81,7 @@ pub trait Lcm: Send + Sync {
 
 /// A connection with one end in this process, and the facts needed about the other end.
 #[derive(Clone, Debug)]
-pub struct FarEnd {
+pub struct RemoteEnd {
     pub connection: Connection,
     /// Ports of the component at the other end.
     pub ports: Arc<Ports>,

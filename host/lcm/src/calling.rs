@@ -77,7 +77,7 @@ async fn attempt(
     let ret_bytes = ret.as_ref().map_or(0, Type::size);
     let answer = match target {
         // A command provided here leads nowhere else.
-        FnBinding::Unbound | FnBinding::FarCommand(_) | FnBinding::FarRead(_) => Answer::unbound(),
+        FnBinding::Unbound | FnBinding::RemoteCommand(_) | FnBinding::RemoteRead(_) => Answer::unbound(),
         FnBinding::Read(read) => match read.from {
             // This read is the host's own code, which never waits: answered here.
             Reader::System(_) => read.answer(&arg, ret_bytes),

@@ -11,7 +11,7 @@ use trocar_plugin_api::abi::{NOT_ACTIVE, Tick};
 use trocar_rt::executor::{Cycle, Pace};
 use trocar_rt::{os, turn};
 
-use super::boundary::{inside, late, told};
+use super::boundary::{deferred, inside, told};
 use super::context;
 use super::core::{Core, Entered};
 use super::instance::Instance;
@@ -95,7 +95,7 @@ fn serve_signalled(members: &[Member], pace: Pace) {
         pending::publish();
         context::set_stepping(false);
         told::flush_wakes();
-        late::give();
+        deferred::give();
     }
 }
 
@@ -116,7 +116,7 @@ fn run(members: &mut [Member], cycle: &Cycle, by_signal: bool) -> bool {
         pending::publish();
         context::set_stepping(false);
         told::flush_wakes();
-        late::give();
+        deferred::give();
         members.iter().for_each(|m| m.core.object.let_go());
         stepped
     })

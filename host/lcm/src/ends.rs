@@ -30,7 +30,7 @@ impl Here {
     pub(super) fn from(&self, other: &ComponentId) -> From {
         match &self.other {
             Some(other) => From::Component(other.clone() as Weak<dyn Party>),
-            None => From::Far(other.clone()),
+            None => From::Remote(other.clone()),
         }
     }
 }
@@ -46,7 +46,7 @@ pub(super) enum Role {
 pub(super) type Tell = oneshot::Sender<Result<(), String>>;
 
 /// Looks for the class of a connection's server in this process.
-pub(super) type Kin = Box<dyn Fn() -> Option<OwnClass> + Send + Sync>;
+pub(super) type SameClass = Box<dyn Fn() -> Option<OwnClass> + Send + Sync>;
 
 /// Two ends of this process as a carrier has joined them.
 pub(super) trait Joined: Send + Sync {

@@ -14,7 +14,7 @@ use trocar_rt::executor::{Bells, Clock, Pacer};
 use trocar_rt::wake::{MOST_BELLS, Waker};
 use trocar_rt::{house, os};
 
-use super::boundary::late;
+use super::boundary::deferred;
 use super::context::{self, ExecutorId};
 use super::core::Core;
 use super::cycle::{self, Member};
@@ -178,7 +178,7 @@ impl Executor {
         let thread = thread::Builder::new().name(name.clone()).stack_size(realtime::STACK_BYTES);
         house::spawn(thread, move || {
             context::set_executor(mine.id);
-            late::prepare();
+            deferred::prepare();
             context::set_team(team);
             let named = Named::here(mine.name.clone());
             mine.tid.store(named.0, Ordering::Release);

@@ -11,9 +11,9 @@ use trocar_model::{ComponentId, Name};
 use trocar_rt::wake::Waker;
 
 use super::concern::{self, Concern};
-use super::desk::Desk;
 use super::logs::LogRing;
 use super::readers::Readers;
+use super::request_queue::RequestQueue;
 
 /// Most news that wait for a lagging receiver before it has to ask for the inventory.
 const NEWS_DEPTH: usize = 1024;
@@ -23,7 +23,7 @@ pub(super) struct Hub {
     pub(super) news: broadcast::Sender<News>,
     pub(super) logs: Arc<LogRing>,
     /// Desk where components ask for services.
-    pub(super) desk: Arc<Desk>,
+    pub(super) request_queue: Arc<RequestQueue>,
     /// Threads for reads from outside.
     pub(super) readers: Arc<Readers>,
     /// Makes the watchdog look now.
@@ -44,7 +44,7 @@ impl Hub {
             process,
             news: broadcast::channel(NEWS_DEPTH).0,
             logs: LogRing::new(),
-            desk: Desk::new(),
+            request_queue: RequestQueue::new(),
             readers: Arc::default(),
             watch: Arc::new(Waker::new()),
             ports: Arc::new(Waker::new()),

@@ -61,7 +61,7 @@ pub(super) struct Inbox {
     losses: Losses,
     /// Time within which its connection wants commands carried out, ns; 0 = none given.
     pub(super) deadline_ns: u64,
-    toll: Toll,
+    failures: Failures,
     closed: AtomicBool,
 }
 
@@ -79,7 +79,7 @@ pub(super) enum From {
     Outside,
     Component(Weak<dyn Party>),
     /// A component of another process.
-    Far(ComponentId),
+    Remote(ComponentId),
 }
 
 /// Conditions under which an entry of another process is run.
@@ -90,7 +90,7 @@ pub(super) struct Check {
 
 /// Counts of entries without a waiting caller that were taken and then failed or never ran.
 #[derive(Default)]
-struct Toll {
+struct Failures {
     /// Commands that ran and failed.
     failed: AtomicU64,
     /// Commands and events that never ran: Stop, Disconnect, Remove, another description, or too long a wait.
@@ -140,7 +140,7 @@ impl Inbox {
     }
 
     /// Queue for commands of a client in another process.
-    pub(super) fn far_commands(
+    pub(super) fn remote_commands(
         mailbox: Mailbox,
         replies: Arc<ReplyPool>,
         targets: Vec<Arc<Position>>,
@@ -152,7 +152,7 @@ impl Inbox {
     }
 
     /// Queue for events of a component of another process.
-    pub(super) fn far_events(
+    pub(super) fn remote_events(
         mailbox: Mailbox,
         targets: Vec<Arc<Position>>,
         from: From,
@@ -178,7 +178,7 @@ impl Inbox {
             checks,
             deadline_ns: 0,
             losses: Losses::default(),
-            toll: Toll::default(),
+            failures: Failures::default(),
             closed: AtomicBool::new(false),
         }
     }
@@ -187,7 +187,7 @@ impl Inbox {
     pub(super) fn sender(&self) -> (Option<Arc<dyn Party>>, String) {
         match &self.from {
             From::Outside => (None, "outside".to_owned()),
-            From::Far(id) => (None, id.to_string()),
+            From::Remote(id) => (None, id.to_string()),
             From::Component(from) => {
                 let from = from.upgrade();
                 let name =
@@ -243,7 +243,7 @@ impl Inbox {
     /// Answers one entry, unexecuted; an entry without a waiting caller is counted. Real-time.
     pub(super) fn refuse(&self, head: EntryHead, outcome: Outcome) {
         if head.reply == 0 {
-            self.toll.unexecuted.fetch_add(1, Ordering::Relaxed);
+            self.failures.unexecuted.fetch_add(1, Ordering::Relaxed);
         } else {
             self.replies.fail(head.reply, outcome);
         }
@@ -251,9 +251,9 @@ impl Inbox {
 
     /// Counts a command that ran and failed without a waiting caller. Real-time.
     pub(super) fn note_failure(&self, text: &[u8]) {
-        self.toll.failed.fetch_add(1, Ordering::Relaxed);
+        self.failures.failed.fetch_add(1, Ordering::Relaxed);
         // The lock fails while another thread reads the previous sentence: that one is reported.
-        if let Ok(mut last) = self.toll.last.try_lock() {
+        if let Ok(mut last) = self.failures.last.try_lock() {
             last.len = text.len().min(SENTENCE_BYTES);
             let len = last.len;
             last.bytes[..len].copy_from_slice(&text[..len]);
@@ -262,19 +262,19 @@ impl Inbox {
 
     /// Commands without a waiting caller that ran and failed.
     pub(super) fn failed(&self) -> u64 {
-        self.toll.failed.load(Ordering::Relaxed)
+        self.failures.failed.load(Ordering::Relaxed)
     }
 
     /// Commands without a waiting caller, and events, that were taken and never ran.
     pub(super) fn unexecuted(&self) -> u64 {
-        self.toll.unexecuted.load(Ordering::Relaxed)
+        self.failures.unexecuted.load(Ordering::Relaxed)
     }
 
     /// Warns both ends of commands that were only sent and that failed or never ran since the last report.
     /// Managers only.
-    pub(super) fn tell_toll(&self, to: &dyn Party) {
+    pub(super) fn tell_failures(&self, to: &dyn Party) {
         let now = [self.failed(), self.unexecuted()];
-        let fresh = [0, 1].map(|i| self.toll.told[i].swap(now[i], Ordering::Relaxed) != now[i]);
+        let fresh = [0, 1].map(|i| self.failures.told[i].swap(now[i], Ordering::Relaxed) != now[i]);
         // A component that is not ACTIVE handles no events: that is not worth a report every second.
         if self.events {
             return;
@@ -288,7 +288,7 @@ impl Inbox {
         };
         if fresh[0] {
             // The step's side only tries the lock, so it never waits for this.
-            let text = self.toll.last.try_lock().map_or_else(
+            let text = self.failures.last.try_lock().map_or_else(
                 |_| String::new(),
                 |last| trocar_model::plain::sentence(&last.bytes[..last.len]),
             );
@@ -361,7 +361,7 @@ mod tests {
         let inbox = Inbox::events(Mailbox::new(1, 0, 0), Vec::new(), From::Outside);
         inbox.note_failure(&[b'x'; 2 * SENTENCE_BYTES]);
         inbox.note_failure(b"no paper");
-        let last = inbox.toll.last.try_lock().unwrap();
+        let last = inbox.failures.last.try_lock().unwrap();
         assert_eq!((inbox.failed(), &last.bytes[..last.len]), (2, &b"no paper"[..]));
     }
 

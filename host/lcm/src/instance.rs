@@ -20,9 +20,9 @@ use super::boundary::{AllRemains, EntryError, HostContext, LoadedClass, NoRoom, 
 use super::context;
 use super::core::{Beginning, Component, Core};
 use super::described::Described;
-use super::desk::{Account, Asker};
 use super::hub::Hub;
 use super::reading::Reading;
+use super::request_queue::{Account, Asker};
 use super::thread::Thread;
 use super::watch::Entry;
 
@@ -83,7 +83,7 @@ impl Instance {
             ret_words: now.ret_words(),
         };
         let core = Core::new((number, id), (&info, class), (&hub, status_rows), (execution, thread), begin);
-        let host = HostContext::new(&core, &hub.logs, &hub.desk);
+        let host = HostContext::new(&core, &hub.logs, &hub.request_queue);
         let instance = Arc::new_cyclic(|me| Instance {
             core,
             info,
@@ -99,7 +99,7 @@ impl Instance {
         });
         let me = Arc::downgrade(&instance);
         instance.core.belong(me.clone());
-        instance.hub.desk.enter(number, me);
+        instance.hub.request_queue.enter(number, me);
         instance.publish_status();
         Ok(instance)
     }

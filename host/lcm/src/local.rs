@@ -5,9 +5,9 @@
 
 mod assemble;
 mod detail;
-mod far;
 mod phases;
 mod ports;
+mod remote;
 mod wiring;
 
 use std::collections::BTreeMap;
@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 use async_trait::async_trait;
 use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_lcm_api::{
-    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply, Report,
+    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, RemoteEnd, Reply, Report,
     Sample, Selection, When,
 };
 use trocar_loader::system;
@@ -194,7 +194,7 @@ impl LocalLcm {
     /// The machine gives no more threads.
     pub fn offer_services(self: &Arc<Self>, services: Arc<dyn Services>) -> std::io::Result<()> {
         let lcm = Arc::downgrade(self);
-        super::services::open(&self.hub.desk, services, move |number| lcm.upgrade()?.member(number))
+        super::services::open(&self.hub.request_queue, services, move |number| lcm.upgrade()?.member(number))
     }
 
     /// The component of this number and the thread it runs on; `None` when it is gone.
@@ -243,7 +243,7 @@ impl LocalLcm {
     /// nothing. Bounded: a component that does not return within `within` is left.
     pub async fn shutdown(&self, within: Duration) {
         // A component that is stopped here cannot have another one started.
-        self.hub.desk.close();
+        self.hub.request_queue.close();
         let deadline = Instant::now() + within;
         let ids: Vec<ComponentId> = {
             let mut held = self.held();
@@ -299,8 +299,8 @@ impl LocalLcm {
     /// Numbers of all connections that end in this process.
     fn connections(&self) -> Vec<u64> {
         let here = self.held().links.keys().copied().collect::<Vec<_>>();
-        let far = self.carriers.halves().flat_map(|halves| halves.connections());
-        here.into_iter().chain(far).collect()
+        let remote = self.carriers.halves().flat_map(|halves| halves.connections());
+        here.into_iter().chain(remote).collect()
     }
 
     fn slot(&self, id: &ComponentId) -> Result<Slot, Refusal> {
@@ -478,7 +478,7 @@ impl Lcm for LocalLcm {
                     Some(wired) => Ok(wired.client.report(false)),
                     None => {
                         let how = if replaced { Loss::Replaced } else { Loss::Cut };
-                        self.unlink_far(number, how).await.ok_or_else(|| Refusal::ConnectionNotFound {
+                        self.unlink_remote(number, how).await.ok_or_else(|| Refusal::ConnectionNotFound {
                             asked: number.to_string(),
                             known: self.connections().iter().map(u64::to_string).collect(),
                         })
@@ -493,8 +493,8 @@ impl Lcm for LocalLcm {
         })
     }
 
-    async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
-        self.link_far(end, deadline).await
+    async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
+        self.link_remote(end, deadline).await
     }
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {

@@ -11,9 +11,9 @@ use trocar_loader::system;
 use trocar_model::{ComponentId, State};
 use trocar_rt::os;
 
-use super::desk::{Asked, Desk};
 use super::executor::Executor;
 use super::instance::Instance;
+use super::request_queue::{Asked, RequestQueue};
 use super::watch::Entry;
 
 /// Longest wait of a reply for a thread inside the component, ns, before it queues again.
@@ -35,18 +35,18 @@ pub(super) trait Find: Fn(u32) -> Option<(Arc<Instance>, Arc<Executor>)> + Send 
 
 impl<F: Fn(u32) -> Option<(Arc<Instance>, Arc<Executor>)> + Send + Sync> Find for F {}
 
-/// Opens the desk: requests are carried out by `services`, and replies handed to components that `find`
+/// Opens the queue: requests are carried out by `services`, and replies handed to components that `find`
 /// knows.
 ///
 /// # Errors
 /// The machine gives no more threads.
 pub(super) fn open(
-    desk: &Arc<Desk>,
+    request_queue: &Arc<RequestQueue>,
     services: Arc<dyn Services>,
     find: impl Find + 'static,
 ) -> io::Result<()> {
     let find = Arc::new(find);
-    desk.open(move |asked, request| {
+    request_queue.open(move |asked, request| {
         let (id, find) = (asked.id.clone(), find.clone());
         let reply = Box::new(move |reply: String| {
             if let Some((instance, executor)) = find(asked.number) {

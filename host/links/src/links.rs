@@ -35,7 +35,7 @@ impl Links {
         let listener = address::listen(&card.socket)?;
         let (own, asked) = (card.clone(), shared.clone());
         let thread = std::thread::Builder::new().name("trocar-links".into());
-        // The server is made on its thread, since the words of its will belong to that thread.
+        // The server is made on its thread, since its robust words belong to that thread.
         let thread = house::spawn(thread, move || Server::new(own, listener, asked, handler).run());
         // Nothing half made stays: without its thread no call at the socket would be answered.
         let thread = thread.inspect_err(|_| drop(std::fs::remove_file(&card.socket)))?;

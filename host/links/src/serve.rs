@@ -14,7 +14,7 @@ use rustix::io::Errno;
 use rustix::net::SocketFlags;
 use trocar_rt::os::{Unshared, now_ns, unshared};
 use trocar_rt::pulse::{Life, Pulse};
-use trocar_rt::will::Will;
+use trocar_rt::robust_words::RobustWords;
 
 use crate::address;
 use crate::asked::{Ask, Failed, Shared};
@@ -62,7 +62,7 @@ pub(crate) struct Server<H> {
     /// When the hearts were looked at last, ns.
     beat_ns: u64,
     /// Lets others hear at once that this process died; `None` where the kernel tells nobody.
-    will: Option<Will>,
+    robust_words: Option<RobustWords>,
     /// Lets this process hear of the death of others.
     watch: Watch,
     turned_away: Seldom,
@@ -105,7 +105,7 @@ impl<H: Handler> Server<H> {
             log::info!("other processes hear of the end of this one by their sockets only: {e}")
         };
         Server {
-            will: Will::of_this_thread().inspect_err(told).ok(),
+            robust_words: RobustWords::of_this_thread().inspect_err(told).ok(),
             watch: Watch::new(shared.clone()),
             card,
             spare: None,
@@ -471,8 +471,8 @@ impl<H: Handler> Server<H> {
         if !self.is_live() {
             self.beat_ns = now;
         }
-        if let Some(will) = &mut self.will
-            && let Err(e) = will.add(&session.pulse)
+        if let Some(robust_words) = &mut self.robust_words
+            && let Err(e) = robust_words.add(&session.pulse)
         {
             let process = &session.peer().process;
             log::info!("process {process} hears of the end of this one by its socket only: {e}");
@@ -539,8 +539,8 @@ impl<H: Handler> Server<H> {
         }
         self.handler.lost(session, why);
         self.watch.remove(session);
-        if let Some(will) = &mut self.will {
-            will.remove(&session.pulse);
+        if let Some(robust_words) = &mut self.robust_words {
+            robust_words.remove(&session.pulse);
         }
     }
 

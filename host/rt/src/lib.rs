@@ -20,6 +20,8 @@ pub mod pool;
 pub mod pulse;
 pub mod region;
 pub mod reply;
+#[cfg(not(loom))]
+pub mod robust_words;
 pub mod segment;
 mod seq;
 pub mod state;
@@ -30,8 +32,6 @@ pub mod threads;
 pub mod timing;
 pub mod turn;
 pub mod wake;
-#[cfg(not(loom))]
-pub mod will;
 
 #[cfg(all(test, loom))]
 mod loom_models;

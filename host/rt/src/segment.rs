@@ -11,8 +11,10 @@ use std::sync::Arc;
 use crate::mailbox::Mailbox;
 use crate::region::{Layout, Place, Region, Table};
 use crate::reply::ReplyPool;
-use crate::state::{StateReader, StateWriter, far_state_reader, far_state_writer};
-use crate::stream::{FarPools, FarViews, Payload, Queue, StreamReader, StreamWriter, far_reader, far_writer};
+use crate::state::{StateReader, StateWriter, remote_state_reader, remote_state_writer};
+use crate::stream::{
+    Payload, Queue, RemotePools, RemoteViews, StreamReader, StreamWriter, remote_reader, remote_writer,
+};
 use crate::sync::{AtomicU64, Ordering};
 use crate::wake::Waker;
 
@@ -125,7 +127,7 @@ impl<R> Calls<R> {
 /// The server's end.
 pub type ServedCalls = Calls<StateWriter>;
 /// The client's end.
-pub type FarCalls = Calls<StateReader>;
+pub type RemoteCalls = Calls<StateReader>;
 
 impl ServedCalls {
     /// Memory for a connection of these sizes.
@@ -133,18 +135,18 @@ impl ServedCalls {
     /// # Errors
     /// The machine has not that much.
     pub fn create(shape: &CallShape, agreed: Agreed) -> io::Result<Self> {
-        let parts = |layout: &mut Layout| Self::lay_out(layout, shape, agreed, far_state_writer);
+        let parts = |layout: &mut Layout| Self::lay_out(layout, shape, agreed, remote_state_writer);
         Ok(parts(&mut Layout::fresh(&Region::shared(Layout::measure(parts))?)))
     }
 }
 
-impl FarCalls {
+impl RemoteCalls {
     /// The memory the server made for a connection of these sizes.
     ///
     /// # Errors
     /// It is not that.
     pub fn open(fd: OwnedFd, shape: &CallShape, agreed: Agreed) -> io::Result<Self> {
-        open(fd, |layout| Self::lay_out(layout, shape, agreed, far_state_reader), agreed)
+        open(fd, |layout| Self::lay_out(layout, shape, agreed, remote_state_reader), agreed)
     }
 }
 
@@ -168,7 +170,7 @@ impl Rows<StateWriter> {
     /// # Errors
     /// The machine has not that much.
     pub fn create(row_bytes: usize, agreed: Agreed) -> io::Result<Self> {
-        let end = |layout: &mut Layout| far_state_writer(layout, row_bytes, READ_ROWS);
+        let end = |layout: &mut Layout| remote_state_writer(layout, row_bytes, READ_ROWS);
         let parts = |layout: &mut Layout| Self::lay_out(layout, agreed, end);
         Ok(parts(&mut Layout::fresh(&Region::shown(Layout::measure(parts))?)))
     }
@@ -185,7 +187,7 @@ impl Rows<StateReader> {
     /// # Errors
     /// It is not that.
     pub fn open(fd: OwnedFd, row_bytes: usize, agreed: Agreed) -> io::Result<Self> {
-        let end = |layout: &mut Layout| far_state_reader(layout, row_bytes, READ_ROWS);
+        let end = |layout: &mut Layout| remote_state_reader(layout, row_bytes, READ_ROWS);
         let parts = |layout: &mut Layout| Self::lay_out(layout, agreed, end);
         let region = Region::look(fd, Layout::measure(parts))?;
         laid_out(&region, parts, agreed)
@@ -231,8 +233,8 @@ impl Stream<StreamWriter> {
     ///
     /// # Errors
     /// The machine has not that much.
-    pub fn create(shape: StreamShape, agreed: Agreed, pools: &Arc<FarPools>) -> io::Result<Self> {
-        let end = |layout: &mut Layout| far_writer(layout, shape.payload, shape.queue, pools);
+    pub fn create(shape: StreamShape, agreed: Agreed, pools: &Arc<RemotePools>) -> io::Result<Self> {
+        let end = |layout: &mut Layout| remote_writer(layout, shape.payload, shape.queue, pools);
         let parts = |layout: &mut Layout| Self::lay_out(layout, agreed, end);
         Ok(parts(&mut Layout::fresh(&Region::shared(Layout::measure(parts))?)))
     }
@@ -243,8 +245,13 @@ impl Stream<StreamReader> {
     ///
     /// # Errors
     /// It is not that.
-    pub fn open(fd: OwnedFd, shape: StreamShape, agreed: Agreed, views: &Arc<FarViews>) -> io::Result<Self> {
-        let end = |layout: &mut Layout| far_reader(layout, shape.payload, shape.queue, views);
+    pub fn open(
+        fd: OwnedFd,
+        shape: StreamShape,
+        agreed: Agreed,
+        views: &Arc<RemoteViews>,
+    ) -> io::Result<Self> {
+        let end = |layout: &mut Layout| remote_reader(layout, shape.payload, shape.queue, views);
         open(fd, |layout| Self::lay_out(layout, agreed, end), agreed)
     }
 }

@@ -16,7 +16,7 @@ const HEAD: usize = 2;
 /// Attempts of `latest` before it gives up: each lost one means that the writer went round the whole ring.
 const ATTEMPTS: usize = 1000;
 /// The same where another process may go round the ring only to keep a reader busy.
-const FAR_ATTEMPTS: usize = 16;
+const REMOTE_ATTEMPTS: usize = 16;
 
 /// Identity of the row that was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -83,12 +83,12 @@ pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) 
     (StateWriter::new(Arc::clone(&table)), StateReader { table, attempts: ATTEMPTS })
 }
 
-/// Makes the writer of a table whose readers are in another process; the parts are what [`far_state_reader`]
+/// Makes the writer of a table whose readers are in another process; the parts are what [`remote_state_reader`]
 /// lays out.
 ///
 /// # Panics
 /// As [`state_table`].
-pub fn far_state_writer(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateWriter {
+pub fn remote_state_writer(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateWriter {
     StateWriter::new(Table::lay_out(layout, row_bytes, rows))
 }
 
@@ -97,8 +97,8 @@ pub fn far_state_writer(layout: &mut Layout, row_bytes: usize, rows: usize) -> S
 ///
 /// # Panics
 /// As [`state_table`].
-pub fn far_state_reader(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateReader {
-    StateReader { table: Table::lay_out(layout, row_bytes, rows), attempts: FAR_ATTEMPTS }
+pub fn remote_state_reader(layout: &mut Layout, row_bytes: usize, rows: usize) -> StateReader {
+    StateReader { table: Table::lay_out(layout, row_bytes, rows), attempts: REMOTE_ATTEMPTS }
 }
 
 impl Table {

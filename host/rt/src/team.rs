@@ -23,12 +23,12 @@ type Body<'a> = dyn Fn(u32) -> i32 + Sync + 'a;
 
 /// Threads that work together, the caller of [`Team::run`] included. Dropping it ends and joins them.
 pub struct Team {
-    desk: Arc<Desk>,
+    state: Arc<TeamState>,
     helpers: Vec<JoinHandle<()>>,
 }
 
 /// State the threads of a team share.
-struct Desk {
+struct TeamState {
     /// Slices of the current job that nobody has taken.
     open: Padded<AtomicU32>,
     /// Slices of the current job that are not done.
@@ -54,9 +54,9 @@ struct Job {
 
 // SAFETY: `job` is written by the owner while no slice is open or pending, and read by holders of a slice,
 // whose taking follows the owner's opening; the body behind it may be called from any thread.
-unsafe impl Send for Desk {}
+unsafe impl Send for TeamState {}
 // SAFETY: as above.
-unsafe impl Sync for Desk {}
+unsafe impl Sync for TeamState {}
 
 impl Team {
     /// Starts `threads - 1` helpers (0 counts as 1: no helper, everything runs in the caller's thread). Each
@@ -72,7 +72,7 @@ impl Team {
             ));
         }
         let helpers = threads.saturating_sub(1);
-        let desk = Arc::new(Desk {
+        let state = Arc::new(TeamState {
             open: Padded(AtomicU32::new(0)),
             pending: Padded(AtomicU32::new(0)),
             failed: AtomicU32::new(0),
@@ -82,13 +82,13 @@ impl Team {
             busy: AtomicBool::new(false),
             closed: AtomicBool::new(false),
         });
-        let mut team = Self { desk, helpers: Vec::with_capacity(helpers) };
+        let mut team = Self { state, helpers: Vec::with_capacity(helpers) };
         let setup = Arc::new(setup);
         for helper in 0..helpers {
-            let (desk, setup) = (Arc::clone(&team.desk), Arc::clone(&setup));
+            let (state, setup) = (Arc::clone(&team.state), Arc::clone(&setup));
             team.helpers.push(spawn(move || {
                 setup(helper + 1);
-                desk.help(helper);
+                state.help(helper);
             })?);
         }
         Ok(team)
@@ -108,19 +108,19 @@ impl Team {
         if slices == 0 {
             return 0;
         }
-        if self.helpers.is_empty() || slices == 1 || self.desk.busy.swap(true, Ordering::Acquire) {
+        if self.helpers.is_empty() || slices == 1 || self.state.busy.swap(true, Ordering::Acquire) {
             return alone(slices, body);
         }
-        let status = self.desk.share(slices, body);
-        self.desk.busy.store(false, Ordering::Release);
+        let status = self.state.share(slices, body);
+        self.state.busy.store(false, Ordering::Release);
         status
     }
 }
 
 impl Drop for Team {
     fn drop(&mut self) {
-        self.desk.closed.store(true, Ordering::Release);
-        self.desk.calls.iter().for_each(|call| {
+        self.state.closed.store(true, Ordering::Release);
+        self.state.calls.iter().for_each(|call| {
             call.notify();
         });
         for helper in self.helpers.drain(..) {
@@ -130,7 +130,7 @@ impl Drop for Team {
     }
 }
 
-impl Desk {
+impl TeamState {
     /// Leads the owner through one job.
     fn share(&self, slices: u32, body: &Body<'_>) -> i32 {
         // SAFETY: only the lifetime changes; nobody calls the body once nothing is pending, which this

@@ -16,9 +16,10 @@ use trocar_rt::mailbox::{EntryHead, Overflow, Push};
 use trocar_rt::now_ns;
 use trocar_rt::pool::{FramePool, PoolFile};
 use trocar_rt::region::{Layout, Region};
-use trocar_rt::segment::{Agreed, CallShape, FarCalls, ServedCalls};
+use trocar_rt::segment::{Agreed, CallShape, RemoteCalls, ServedCalls};
 use trocar_rt::stream::{
-    FarPools, FarViews, Meta, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader, far_writer,
+    Meta, Payload, Pushed, Queue, RemotePools, RemoteViews, StreamReader, StreamWriter, remote_reader,
+    remote_writer,
 };
 use trocar_rt::wake::{Waker, wait_any};
 
@@ -60,7 +61,7 @@ fn play(words: &[AtomicU64], over: &AtomicBool, seed: u64) {
     }
 }
 
-fn tell(pool: &Arc<FramePool>, pools: &FarPools, views: &FarViews) {
+fn tell(pool: &Arc<FramePool>, pools: &RemotePools, views: &RemoteViews) {
     let file = pool.file().unwrap();
     let theirs = PoolFile::open(file.fd().try_clone_to_owned().unwrap(), file.shape()).unwrap();
     assert!(views.know(0, theirs));
@@ -73,7 +74,7 @@ fn tell(pool: &Arc<FramePool>, pools: &FarPools, views: &FarViews) {
 fn words_that_change_under_every_look_crash_and_hang_nobody() {
     for (round, queue) in QUEUES.into_iter().cycle().take(9).enumerate() {
         let pool = FramePool::new(8, 64, 64).unwrap();
-        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(64));
+        let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(64));
         tell(&pool, &pools, &views);
         let lay = |layout: &mut Layout| writing(layout, queue, &pools);
         let lay_other = |layout: &mut Layout| reading(layout, queue, &views);
@@ -164,7 +165,7 @@ fn words_that_change_under_every_look_crash_and_hang_nobody() {
 #[test]
 fn an_entry_longer_than_its_place_is_cut_to_it() {
     const LENGTH: u64 = 24;
-    let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(64));
+    let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(64));
     let lay = |layout: &mut Layout| writing(layout, QUEUES[0], &pools);
     let lay_other = |layout: &mut Layout| reading(layout, QUEUES[0], &views);
     let bytes = Layout::measure(lay);
@@ -193,12 +194,13 @@ fn an_entry_longer_than_its_place_is_cut_to_it() {
 
 fn frames_between(queue: Queue) -> (Arc<FramePool>, StreamWriter, StreamReader) {
     let pool = FramePool::new(12, 8, 64).unwrap();
-    let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+    let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(8));
     tell(&pool, &pools, &views);
-    let bytes = Layout::measure(|l| far_writer(l, Payload::Frame, queue, &pools));
+    let bytes = Layout::measure(|l| remote_writer(l, Payload::Frame, queue, &pools));
     let here = Region::shared(bytes).unwrap();
-    let writer = far_writer(&mut Layout::fresh(&here), Payload::Frame, queue, &pools);
-    let reader = far_reader(&mut Layout::of_other_end(&again(&here, bytes)), Payload::Frame, queue, &views);
+    let writer = remote_writer(&mut Layout::fresh(&here), Payload::Frame, queue, &pools);
+    let reader =
+        remote_reader(&mut Layout::of_other_end(&again(&here, bytes)), Payload::Frame, queue, &views);
     (pool, writer, reader)
 }
 
@@ -246,7 +248,8 @@ fn a_server_that_answers_what_nobody_asked_is_no_answer() {
     };
     let agreed = Agreed { hash: 1, epoch: 2 };
     let server = ServedCalls::create(&shape, agreed).unwrap();
-    let client = FarCalls::open(server.fd().unwrap().try_clone_to_owned().unwrap(), &shape, agreed).unwrap();
+    let client =
+        RemoteCalls::open(server.fd().unwrap().try_clone_to_owned().unwrap(), &shape, agreed).unwrap();
     let ticket = client.replies.acquire().unwrap();
     let token = ticket.token();
     for forged in [0, 1, u64::MAX, token ^ 1, token ^ (1 << 40), token.wrapping_add(1 << 36)] {

@@ -4,9 +4,9 @@
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
 
-use trocar_rt::segment::{Agreed, CallShape, FarCalls, Rows, ServedCalls, Stream, StreamShape};
+use trocar_rt::segment::{Agreed, CallShape, RemoteCalls, Rows, ServedCalls, Stream, StreamShape};
 use trocar_rt::state::{StateReader, StateWriter};
-use trocar_rt::stream::{FarPools, FarViews};
+use trocar_rt::stream::{RemotePools, RemoteViews};
 use trocar_rt::{
     DropPolicy, EntryHead, Meta, Overflow, Payload, Push, Pushed, Queue, Reply, StreamReader, StreamWriter,
 };
@@ -34,7 +34,7 @@ fn fd(of: Option<std::os::fd::BorrowedFd<'_>>) -> OwnedFd {
 #[test]
 fn commands_answers_events_and_reads_cross_the_memory() {
     let mut server = ServedCalls::create(&shape(), AGREED).unwrap();
-    let client = FarCalls::open(fd(server.fd()), &shape(), AGREED).unwrap();
+    let client = RemoteCalls::open(fd(server.fd()), &shape(), AGREED).unwrap();
     let ticket = client.replies.acquire().unwrap();
     let head = EntryHead { kind: 0, index: 1, reply: ticket.token(), stamp_ns: 0 };
     assert_eq!(client.commands.push(head, &[5; 8], Overflow::Reject), Push::Queued);
@@ -128,8 +128,8 @@ fn rows_of_another_type_or_size_and_memory_others_may_write_are_refused() {
 fn samples_cross_the_memory_with_their_gaps() {
     let queue = Queue::Fifo { depth: 2, drop: DropPolicy::DropOldest };
     let shape = StreamShape { payload: Payload::Plain { bytes: 8 }, queue };
-    let out = Stream::<StreamWriter>::create(shape, AGREED, &Arc::new(FarPools::default())).unwrap();
-    let mut into = Stream::<StreamReader>::open(fd(out.fd()), shape, AGREED, &FarViews::new(0)).unwrap();
+    let out = Stream::<StreamWriter>::create(shape, AGREED, &Arc::new(RemotePools::default())).unwrap();
+    let mut into = Stream::<StreamReader>::open(fd(out.fd()), shape, AGREED, &RemoteViews::new(0)).unwrap();
     for seq in 1..=3 {
         let pushed = out.end.push(&[seq as u8; 8], Meta { stamp_ns: seq, came_ns: 0, seq });
         assert_eq!(pushed, if seq == 3 { Pushed::DroppedOldest } else { Pushed::Queued });
@@ -146,7 +146,7 @@ fn samples_cross_the_memory_with_their_gaps() {
 fn memory_of_another_link_type_or_size_is_refused() {
     let server = ServedCalls::create(&shape(), AGREED).unwrap();
     let open = |shape: &CallShape, agreed| {
-        FarCalls::open(fd(server.fd()), shape, agreed).map(|_| ()).unwrap_err().to_string()
+        RemoteCalls::open(fd(server.fd()), shape, agreed).map(|_| ()).unwrap_err().to_string()
     };
     let why = open(&shape(), Agreed { hash: 8, ..AGREED });
     assert!(why.contains("hash of its types is 0x7, agreed was 0x8"), "{why}");
@@ -157,8 +157,8 @@ fn memory_of_another_link_type_or_size_is_refused() {
     let why = open(&more, AGREED);
     assert!(why.contains("bytes instead of"), "{why}");
     let stream = StreamShape { payload: Payload::Plain { bytes: 8 }, queue: Queue::Latest };
-    let other = Stream::<StreamWriter>::create(stream, AGREED, &Arc::new(FarPools::default())).unwrap();
-    assert!(FarCalls::open(fd(other.fd()), &shape(), AGREED).is_err());
+    let other = Stream::<StreamWriter>::create(stream, AGREED, &Arc::new(RemotePools::default())).unwrap();
+    assert!(RemoteCalls::open(fd(other.fd()), &shape(), AGREED).is_err());
 }
 
 #[test]
@@ -166,6 +166,6 @@ fn the_same_sizes_give_the_same_memory_at_both_ends() {
     for (depth, reads) in [(1, vec![]), (64, vec![8; 100]), (1000, vec![65_536])] {
         let shape = CallShape { depth, reads, ..shape() };
         let server = ServedCalls::create(&shape, AGREED).unwrap();
-        FarCalls::open(fd(server.fd()), &shape, AGREED).unwrap();
+        RemoteCalls::open(fd(server.fd()), &shape, AGREED).unwrap();
     }
 }

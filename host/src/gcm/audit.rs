@@ -74,7 +74,7 @@ fn request(request: &Request) -> BTreeMap<&'static str, Body<'_>> {
         Request::Create { id, class, config, execution } => {
             ("create", create(id.to_string(), class, config.as_ref(), execution))
         }
-        Request::CreateApart { id, home, class, config, execution } => {
+        Request::CreateIsolated { id, home, class, config, execution } => {
             let mut body = create(format!("{home}/{}", id.component), class, config.as_ref(), execution);
             body.insert("isolation", own("process"));
             ("create", body)

@@ -11,8 +11,8 @@ use trocar_model::{
 };
 
 use super::Gcm;
-use super::far::awaited;
 use super::fate::dismiss;
+use super::remote::awaited;
 use super::sessions::Sessions;
 
 /// Tells whether nothing of the process is known to run. A process that is here and gets its components back

@@ -32,7 +32,7 @@ impl Part {
         let mut part = Part::default();
         for request in requests {
             match request {
-                Request::Create { id, execution, .. } | Request::CreateApart { id, execution, .. } => {
+                Request::Create { id, execution, .. } | Request::CreateIsolated { id, execution, .. } => {
                     part.ids.insert(id.clone());
                     part.ids.extend(host_of(execution));
                 }

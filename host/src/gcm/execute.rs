@@ -11,12 +11,12 @@ use trocar_model::{
 };
 
 use super::answer::{Answer, ExecuteOptions, Executed};
-use super::apart::asked_apart;
 use super::away::plan_away;
 use super::carrying::Carrying;
 use super::claims::Planned;
 use super::generated::first_part;
-use super::isolation::Apart;
+use super::isolated::asked_isolated;
+use super::isolation::Isolated;
 use super::requests::Known;
 use super::{Gcm, audit};
 
@@ -92,7 +92,7 @@ impl Gcm {
             self.bring_back(requests, deadline).await?;
         }
         let forced = self.give_way(requests, options.validate_only)?;
-        let apart = asked_apart(requests);
+        let isolated = asked_isolated(requests);
         let away = AtomicBool::new(false);
         let at_once = AtomicUsize::new(0);
         let decide = |graph: &SystemGraph| {
@@ -111,7 +111,7 @@ impl Gcm {
                 false => first_part(graph, requests)?,
             };
             at_once.store(first, Ordering::Relaxed);
-            self.can_be_made(&apart)?;
+            self.can_be_made(&isolated)?;
             Ok(Planned { plan, is_whole: first == requests.len() })
         };
         let (claim, graph, plan) = match self.claim_part(requests, deadline, decide).await {
@@ -136,7 +136,7 @@ impl Gcm {
         let waiting = &requests[at_once.load(Ordering::Relaxed)..];
         // The part is kept until the request has its revision.
         let carrying = Carrying::begin(self, claim, &done.plan);
-        self.carry_out(&carrying, waiting, apart, &mut done, deadline).await?;
+        self.carry_out(&carrying, waiting, isolated, &mut done, deadline).await?;
         warn_bereft(&graph, &mut done);
         done.revision = self.accepted();
         Ok(done)
@@ -147,11 +147,11 @@ impl Gcm {
         &self,
         carrying: &Carrying<'_>,
         waiting: &[Request],
-        apart: Vec<Apart>,
+        isolated: Vec<Isolated>,
         done: &mut Executed,
         deadline: Instant,
     ) -> Result<(), Refusal> {
-        let mut made = match self.begin_apart(&apart, deadline).await {
+        let mut made = match self.begin_isolated(&isolated, deadline).await {
             Ok(()) => carrying.all_or_nothing(done, deadline).await,
             not_up => not_up,
         };
@@ -160,9 +160,9 @@ impl Gcm {
         }
         let not_used = match &made {
             Ok(()) => self.emptied(&done.plan),
-            Err(_) => apart.into_iter().map(|a| a.process).collect(),
+            Err(_) => isolated.into_iter().map(|a| a.process).collect(),
         };
-        self.end_apart(not_used).await;
+        self.end_isolated(not_used).await;
         made
     }
 }

@@ -378,7 +378,7 @@ impl Lcm for FakeLcm {
         Ok(Report { ports, ..report(&id, now) })
     }
 
-    async fn link(&self, end: trocar_lcm_api::FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+    async fn link(&self, end: trocar_lcm_api::RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
         let connection = end.connection;
         let here = |port: &trocar_model::PortId| port.component.process == self.process;
         let end = if here(&connection.client) { End::Client } else { End::Server };

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph, Warnings};
 
 use super::Gcm;
-use super::far::awaited;
 use super::heard::said_lost;
+use super::remote::awaited;
 
 /// State of a process, as its supervisor tells it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

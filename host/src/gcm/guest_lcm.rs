@@ -10,7 +10,7 @@ use async_trait::async_trait;
 use parking_lot::Mutex;
 use tokio::sync::{broadcast, mpsc, watch};
 use trocar_lcm_api::{
-    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
+    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, RemoteEnd, Reply, Report, Sample,
     Selection, When,
 };
 use trocar_model::{
@@ -199,7 +199,7 @@ impl Lcm for GuestLcm {
         Ok(stands.report())
     }
 
-    async fn link(&self, _: FarEnd, _: Instant) -> Result<Report, Refusal> {
+    async fn link(&self, _: RemoteEnd, _: Instant) -> Result<Report, Refusal> {
         self.nothing_there()
     }
 

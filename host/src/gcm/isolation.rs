@@ -8,7 +8,7 @@ use trocar_model::{Name, Refusal};
 
 /// A process for one component alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Apart {
+pub struct Isolated {
     pub process: Name,
     /// The process it is made like.
     pub home: Name,
@@ -18,7 +18,7 @@ pub struct Apart {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
     /// All it is to keep for isolated components.
-    pub apart: Vec<Apart>,
+    pub isolated: Vec<Isolated>,
     /// Processes it is to start again now.
     pub restart: Vec<Name>,
 }
@@ -46,8 +46,8 @@ impl Isolation {
         self.listening.remove(&number);
     }
 
-    pub(super) fn want(&mut self, apart: impl IntoIterator<Item = Apart>) {
-        self.wanted.extend(apart.into_iter().map(|apart| (apart.process, apart.home)));
+    pub(super) fn want(&mut self, isolated: impl IntoIterator<Item = Isolated>) {
+        self.wanted.extend(isolated.into_iter().map(|isolated| (isolated.process, isolated.home)));
     }
 
     pub(super) fn is_wanted(&self, process: &Name) -> bool {
@@ -76,22 +76,25 @@ impl Isolation {
         let none = BTreeSet::new();
         let homes = self.listening.get(&number).unwrap_or(&none);
         let its = self.wanted.iter().filter(|(_, home)| homes.contains(*home));
-        let apart = its.map(|(process, home)| Apart { process: process.clone(), home: home.clone() });
+        let isolated = its.map(|(process, home)| Isolated { process: process.clone(), home: home.clone() });
         let asked = self
             .restarts
             .iter()
             .filter(|(process, asked)| told.get(*process) != Some(*asked) && self.keeps(homes, process));
         let restart = asked.map(|(process, _)| process.clone()).collect();
-        Wanted { apart: apart.collect(), restart }
+        Wanted { isolated: isolated.collect(), restart }
     }
 
     /// Tells whether supervisors are there that make these.
     ///
     /// # Errors
     /// NotSupervised, with the processes beside which others can be made.
-    pub(super) fn can_be_made(&self, apart: &[Apart]) -> Result<(), Refusal> {
-        match apart.iter().find(|apart| self.listening.values().all(|homes| !homes.contains(&apart.home))) {
-            Some(apart) => Err(self.not_supervised(&apart.home)),
+    pub(super) fn can_be_made(&self, isolated: &[Isolated]) -> Result<(), Refusal> {
+        match isolated
+            .iter()
+            .find(|isolated| self.listening.values().all(|homes| !homes.contains(&isolated.home)))
+        {
+            Some(isolated) => Err(self.not_supervised(&isolated.home)),
             None => Ok(()),
         }
     }

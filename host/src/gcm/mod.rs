@@ -22,15 +22,15 @@ mod manager;
 
 // The drivers of a change.
 mod carrying;
-mod far;
 mod heard;
 mod observed;
 mod one_change;
+mod remote;
 
 // Verbs and followers.
-mod apart;
 mod audit;
-mod awaiting;
+mod awaiting_event;
+mod awaiting_state;
 mod away;
 mod execute;
 mod fate;
@@ -38,6 +38,7 @@ mod follow;
 mod generated;
 mod guests;
 mod holding;
+mod isolated;
 mod phases;
 mod register;
 mod relink;
@@ -52,16 +53,16 @@ pub(crate) mod fake;
 mod tests;
 
 pub use answer::{ExecuteOptions, Executed};
-pub use apart::{Supervising, Supervisor};
-pub use awaiting::Listening;
+pub use awaiting_event::Listening;
+pub(crate) use awaiting_state::given_ns;
 pub use fate::{Fate, Told};
 pub use guests::{Guest, Joined, Requirement};
 pub use holding::Held;
 pub use ids::IdsError;
-pub use isolation::{Apart, Wanted};
+pub use isolated::{Supervising, Supervisor};
+pub use isolation::{Isolated, Wanted};
 pub use lines::Lines;
 pub use manager::Gcm;
-pub(crate) use manager::given_ns;
 pub(crate) use observed::observe;
 pub use sessions::{Registered, Registration, Slice};
 pub use start::GcmConfig;

@@ -12,9 +12,9 @@ use trocar_model::{
 };
 
 use super::Gcm;
-use super::far::settle;
 use super::follow::follow;
 use super::observed::{loosen, observe};
+use super::remote::settle;
 use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
 
 /// Callers that may wait at once until the news of a process is entered.

@@ -103,8 +103,8 @@ impl Gcm {
             if self.awaits(change, process) || self.is_idle(change, &mut away) {
                 continue;
             }
-            let far = matches!(change, Change::Connect { connection } if !connection.is_near());
-            let deadline = Instant::now() + if far { LINKED } else { self.inner.each_change };
+            let remote = matches!(change, Change::Connect { connection } if !connection.is_near());
+            let deadline = Instant::now() + if remote { LINKED } else { self.inner.each_change };
             let done = tokio::select! {
                 // A change that is not begun yet is not begun for a session that is over.
                 biased;
@@ -119,7 +119,7 @@ impl Gcm {
                     refusal @ (Refusal::ProcessLost { .. }
                     | Refusal::Unreachable { .. }
                     | Refusal::LcmTimeout { .. }),
-                ) if far => {
+                ) if remote => {
                     log::warn!("{}: {refusal}", text::line(change));
                     if let Change::Connect { connection } = change {
                         self.not_linked(connection, &refusal).await;

@@ -1,13 +1,13 @@
 //! Promises of a GCM, against an LCM that does as it is told.
 #![allow(clippy::unwrap_used)]
 
-mod apart;
 mod away;
 mod between;
 mod hanging;
 mod hearing;
 mod holding;
 mod interrupted;
+mod isolated;
 mod keeping_stopped;
 mod phases;
 mod ports;

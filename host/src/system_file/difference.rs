@@ -153,9 +153,9 @@ impl Comparing<'_> {
     /// names the parts of a file that count only when its processes are started.
     fn processes(&mut self) {
         let file = self.file;
-        let apart: BTreeSet<&Name> =
+        let isolated: BTreeSet<&Name> =
             file.components.iter().filter(|c| c.isolated).map(|c| &c.id.process).collect();
-        for ProcessSpec { name, .. } in file.processes.iter().filter(|p| !apart.contains(&p.name)) {
+        for ProcessSpec { name, .. } in file.processes.iter().filter(|p| !isolated.contains(&p.name)) {
             match self.running.processes.get(name).map(|p| p.state) {
                 None => {
                     self.say(format!("+ process {name}"));
@@ -253,7 +253,9 @@ impl Comparing<'_> {
         // A component that is not where the file says may be in a process of its own, or not in one, instead.
         let absent = self.specs.values().filter(|spec| !running.components.contains_key(&spec.id));
         let elsewhere: BTreeSet<ComponentId> = absent
-            .filter_map(|spec| if spec.isolated { Some(spec.written.clone()) } else { spec.id.apart().ok() })
+            .filter_map(
+                |spec| if spec.isolated { Some(spec.written.clone()) } else { spec.id.isolated().ok() },
+            )
             .collect();
         for (id, c) in &running.components {
             if self.parts.contains_key(id) || !self.is_ours(id) {
@@ -445,7 +447,7 @@ impl Comparing<'_> {
         out.requests.extend(goes.into_iter().map(|id| Request::Remove { id, force: false }));
         for spec in in_thread_order(&file.components) {
             let make = parts.get(&spec.id).and_then(|part| part.make.clone());
-            out.requests.extend(make.map(|make| apart(make, spec, running)));
+            out.requests.extend(make.map(|make| isolated(make, spec, running)));
         }
         out.requests.extend(others.iter().rev().filter_map(|id| parts.get(id)?.make.clone()));
         out.requests.extend(parts.values().filter_map(|part| part.patch.clone()));
@@ -485,12 +487,12 @@ fn person(id: &ComponentId, now: &Component, anew: bool) -> String {
 }
 
 /// Makes a component in a process that is made for it, where that process is not there.
-fn apart(make: Request, spec: &ComponentSpec, running: &SystemGraph) -> Request {
+fn isolated(make: Request, spec: &ComponentSpec, running: &SystemGraph) -> Request {
     match make {
         Request::Create { id, class, config, execution }
             if spec.isolated && !running.processes.contains_key(&id.process) =>
         {
-            Request::CreateApart { id, home: spec.written.process.clone(), class, config, execution }
+            Request::CreateIsolated { id, home: spec.written.process.clone(), class, config, execution }
         }
         make => make,
     }

@@ -21,11 +21,11 @@ pub(super) fn isolate(
         let at = document.root.nearest_to(&pointer).at;
         document.problem(at, &pointer, what, help.to_owned())
     };
-    let apart: Vec<ComponentId> = components.iter().filter(|c| c.isolated).map(|c| c.id.clone()).collect();
+    let isolated: Vec<ComponentId> = components.iter().filter(|c| c.isolated).map(|c| c.id.clone()).collect();
     for c in components.iter() {
         for (key, owner) in [("stream_of", &c.execution.stream_of), ("inside", &c.execution.inside)] {
             let Some(owner) = owner else { continue };
-            let lender = apart.iter().find(|id| id.to_string() == *owner);
+            let lender = isolated.iter().find(|id| id.to_string() == *owner);
             if c.isolated || lender.is_some() {
                 found.note(wrong(
                     &c.id,
@@ -39,8 +39,8 @@ pub(super) fn isolate(
             }
         }
     }
-    for id in &apart {
-        let lives = id.apart().map_err(|e| {
+    for id in &isolated {
+        let lives = id.isolated().map_err(|e| {
             let what = format!("its own process cannot be called so: {e}");
             wrong(id, "/isolation", what, "give component or process a shorter name")
         });
@@ -52,7 +52,7 @@ pub(super) fn isolate(
             continue;
         }
         let Some(home) = processes.iter().find(|p| p.name == id.process).cloned() else { continue };
-        processes.push(home.apart(&lives));
+        processes.push(home.isolated(&lives));
         for c in components.iter_mut().filter(|c| c.id == *id) {
             c.id = lives.clone();
         }

@@ -103,8 +103,8 @@ impl ProcessSpec {
         }
     }
 
-    /// A process made like this one for a component alone, called as [`ComponentId::apart`] says.
-    pub fn apart(&self, lives: &ComponentId) -> ProcessSpec {
+    /// A process made like this one for a component alone, called as [`ComponentId::isolated`] says.
+    pub fn isolated(&self, lives: &ComponentId) -> ProcessSpec {
         let state = self.state.as_ref().map(|dir| dir.join(lives.component.as_str()));
         ProcessSpec { name: lives.process.clone(), listen: None, state, ..self.clone() }
     }

@@ -38,9 +38,9 @@ impl Running<'_> {
             let names: Vec<&str> = guests.iter().map(|name| name.as_str()).collect();
             notes.push(format!("guests are not in it, they join by themselves: {}", names.join(", ")));
         }
-        let apart: BTreeSet<&Name> =
+        let isolated: BTreeSet<&Name> =
             graph.components.keys().filter(|id| home(graph, id).is_some()).map(|id| &id.process).collect();
-        let ours = graph.processes.keys().filter(|name| !guests.contains(*name) && !apart.contains(*name));
+        let ours = graph.processes.keys().filter(|name| !guests.contains(*name) && !isolated.contains(*name));
         let processes: Vec<ProcessSpec> = ours.map(|name| self.process(name, folder, &mut notes)).collect();
         let held = self.held.iter().filter(|id| graph.components.contains_key(*id));
         let held: Vec<String> = held.map(ToString::to_string).collect();

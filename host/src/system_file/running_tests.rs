@@ -153,11 +153,11 @@ fn an_isolated_component_is_saved_under_its_written_name_and_made_in_a_process_o
     assert_eq!(difference(&file, &graph), Difference::default());
     // In a system that has neither, a person has to make the process.
     let new = difference(&file, &processes(&["host"]));
-    let apart = new
+    let isolated = new
         .requests
         .iter()
-        .any(|r| matches!(r, Request::CreateApart { home, .. } if home.as_str() == "host"));
-    assert!(apart && new.left.is_empty(), "{new:#?}");
+        .any(|r| matches!(r, Request::CreateIsolated { home, .. } if home.as_str() == "host"));
+    assert!(isolated && new.left.is_empty(), "{new:#?}");
 }
 
 #[test]
@@ -287,9 +287,9 @@ fn one_input_has_one_server_in_a_file_whatever_runs() {
 
 #[test]
 fn a_component_that_moves_into_a_process_of_its_own_does_not_run_twice() {
-    let apart = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
+    let isolated = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
     for (from, to, names) in
-        [(RICH, apart.as_str(), ["host", "gui"]), (apart.as_str(), RICH, ["host", "host.a"])]
+        [(RICH, isolated.as_str(), ["host", "gui"]), (isolated.as_str(), RICH, ["host", "host.a"])]
     {
         let graph = made(&parse(from), &names);
         let found = parse(to).difference(&graph, &BTreeSet::new(), false).unwrap();
@@ -297,7 +297,7 @@ fn a_component_that_moves_into_a_process_of_its_own_does_not_run_twice() {
         let new = found
             .requests
             .iter()
-            .filter(|r| matches!(r, Request::Create { .. } | Request::CreateApart { .. }));
+            .filter(|r| matches!(r, Request::Create { .. } | Request::CreateIsolated { .. }));
         assert_eq!((gone, new.count()), (1, 1), "{found:#?}");
         assert!(
             found.lines.iter().any(|line| line.contains("in another process than the file says")),
@@ -320,8 +320,8 @@ fn nobody_elses_component_is_taken_away_for_a_name_that_is_like_one_apart() {
         assert_eq!(found, Difference::default(), "prune: {prune}");
     }
     // Nor is one of the home process, where that apart is there.
-    let apart = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
-    let found = parse(&apart).difference(&graph, &BTreeSet::new(), false).unwrap();
+    let isolated = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
+    let found = parse(&isolated).difference(&graph, &BTreeSet::new(), false).unwrap();
     let gone: Vec<String> = found
         .requests
         .iter()

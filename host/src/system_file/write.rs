@@ -41,9 +41,9 @@ impl SystemFile {
 impl Picture {
     /// The text of a file that says this.
     pub fn text(&self) -> String {
-        let apart: BTreeSet<_> =
+        let isolated: BTreeSet<_> =
             self.components.iter().filter(|c| c.isolated).map(|c| &c.id.process).collect();
-        let own = |p: &&ProcessSpec| !apart.contains(&p.name);
+        let own = |p: &&ProcessSpec| !isolated.contains(&p.name);
         let processes: Vec<_> =
             self.processes.iter().filter(own).map(|p| (p.name.to_string(), process(p))).collect();
         let components: Vec<_> =

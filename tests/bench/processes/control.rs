@@ -93,7 +93,7 @@ fn killed(table: &mut Table) {
     let mut bare = Vec::new();
     for i in 0..KILLS {
         let name = format!("far{i}");
-        let mut far = process(&lab, &name);
+        let mut remote = process(&lab, &name);
         let config = json!({ "ballast_bytes": BALLAST_BYTES });
         lab.create_with(&format!("{name}/sender"), "sender", config, periodic(250_000));
         let sink = format!("near/sink{i}");
@@ -103,7 +103,7 @@ fn killed(table: &mut Table) {
         lab.start_only(&format!("{name}/sender"));
         lab.wait_until(&sink, "got", 100.0);
         let began_ns = now_ns();
-        far.kill();
+        remote.kill();
         lab.wait_until(&sink, "lost_ns", 1.0);
         told.push(lab.number(&sink, "lost_ns") - began_ns as f64);
         lab.stop(&sink);

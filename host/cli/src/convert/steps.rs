@@ -6,14 +6,14 @@ use trocar_proto::v1;
 use trocar_proto::v1::step::Step as S;
 
 use super::{duration, to_struct};
-use trocar::gcm::{Apart, Fate, Supervisor, Told, Wanted};
+use trocar::gcm::{Fate, Isolated, Supervisor, Told, Wanted};
 
 pub(crate) fn step(request: &Request) -> v1::Step {
     let step = match request {
         Request::Create { id, class, config, execution } => {
             S::Create(create(id.to_string(), class, config.as_ref(), execution))
         }
-        Request::CreateApart { id, home, class, config, execution } => S::Create(v1::CreateRequest {
+        Request::CreateIsolated { id, home, class, config, execution } => S::Create(v1::CreateRequest {
             isolation: "process".to_owned(),
             ..create(format!("{home}/{}", id.component), class, config.as_ref(), execution)
         }),
@@ -137,20 +137,21 @@ pub(crate) fn fate(told: &Told) -> v1::ProcessFate {
 
 /// Converts what a supervisor reports about itself.
 pub(crate) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
-    let apart = |a: &Apart| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
+    let isolated =
+        |a: &Isolated| v1::IsolatedProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseRequest {
         processes: who.processes.iter().map(ToString::to_string).collect(),
-        apart: who.apart.iter().map(apart).collect(),
+        isolated: who.isolated.iter().map(isolated).collect(),
         term: who.term,
     }
 }
 
 /// Reads what a GCM wants of its supervisor, with the term of that GCM.
 pub(crate) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
-    let one = |a: &v1::ApartProcess| {
-        Ok::<_, Refusal>(Apart { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
+    let one = |a: &v1::IsolatedProcess| {
+        Ok::<_, Refusal>(Isolated { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
     };
-    let apart = told.apart.iter().map(one).collect::<Result<_, _>>()?;
+    let isolated = told.isolated.iter().map(one).collect::<Result<_, _>>()?;
     let restart = told.restart.iter().map(|name| Name::parse(name)).collect::<Result<_, _>>()?;
-    Ok((told.term, Wanted { apart, restart }))
+    Ok((told.term, Wanted { isolated, restart }))
 }

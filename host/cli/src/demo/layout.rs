@@ -30,13 +30,13 @@ impl Layout {
     /// A path as it is in this layout.
     pub(super) fn place(self, path: &str) -> String {
         match path.split_once('/') {
-            Some((process, rest)) if !self.is_apart(process) => format!("{HOME}/{rest}"),
+            Some((process, rest)) if !self.is_isolated(process) => format!("{HOME}/{rest}"),
             _ => path.to_owned(),
         }
     }
 
     /// Tells whether a process is apart: OCT is the third process, the one that moves the tool is the second.
-    fn is_apart(self, process: &str) -> bool {
+    fn is_isolated(self, process: &str) -> bool {
         match process {
             HOME => true,
             "oct" => self.processes > 2,
@@ -51,7 +51,7 @@ impl Layout {
     pub(super) fn file(self, name: &str, text: &str) -> Result<SystemFile, Problem> {
         let mut json: Value = serde_json::from_str(text).unwrap_or_default();
         if let Some(processes) = json["processes"].as_object_mut() {
-            processes.retain(|process, _| self.is_apart(process));
+            processes.retain(|process, _| self.is_isolated(process));
         }
         if let Some(components) = json["components"].as_object_mut() {
             let placed: Map<String, Value> = std::mem::take(components)

@@ -39,10 +39,10 @@ impl System {
 
     /// Gives every process a mender that makes it whole again.
     async fn mend(&self, tools: &Tools<'_>) -> Infallible {
-        let (statuses, mut apart) = (self.supervisor.statuses(), self.apart.subscribe());
+        let (statuses, mut isolated) = (self.supervisor.statuses(), self.isolated.subscribe());
         let mut menders: BTreeMap<String, Forever<'_>> = BTreeMap::new();
         loop {
-            apart.mark_unchanged();
+            isolated.mark_unchanged();
             let (names, now) = (self.names(), statuses.borrow().clone());
             menders.retain(|name, _| names.contains(name));
             for name in names {
@@ -55,7 +55,7 @@ impl System {
             tokio::select! {
                 never = all(&mut menders) => match never {},
                 // `self` holds the sender.
-                _ = apart.changed() => {}
+                _ = isolated.changed() => {}
             }
         }
     }
@@ -67,8 +67,8 @@ impl System {
         loop {
             let (now, stands) = (statuses.borrow_and_update().clone(), standing.borrow_and_update().clone());
             let policies = {
-                let apart = self.apart.borrow();
-                let all = self.hosts.iter().chain(apart.values());
+                let isolated = self.isolated.borrow();
+                let all = self.hosts.iter().chain(isolated.values());
                 all.map(|h| (h.name.clone(), h.policy.unheard())).collect()
             };
             let (over, mut next) = patience.look(&now, &stands, &policies, Instant::now());

@@ -3,9 +3,9 @@
 //! Invariant: any end of this program ends its children, devices safe first. A system that does not come up
 //! is reported with the reason, and then nothing is left.
 
-mod apart;
 mod detach;
 mod fill;
+mod isolated;
 mod keep;
 mod last_seen;
 mod mend;
@@ -81,7 +81,7 @@ pub(super) struct System {
     /// Processes of the file.
     hosts: Vec<Program>,
     /// Processes of components that were isolated since.
-    apart: watch::Sender<Roster>,
+    isolated: watch::Sender<Roster>,
     supervisor: Supervisor,
     /// Session with its GCM, once there is one.
     session: Option<Session>,
@@ -211,7 +211,7 @@ impl System {
             gcm,
             hosts: launch.hosts(),
             launch,
-            apart: watch::Sender::default(),
+            isolated: watch::Sender::default(),
             supervisor: Supervisor::default(),
             session: None,
             // No GCM is heard yet.
@@ -268,8 +268,8 @@ impl System {
 
     /// Returns the names of all its processes but its GCM.
     fn names(&self) -> Vec<String> {
-        let apart = self.apart.borrow();
-        self.hosts.iter().chain(apart.values()).map(|host| host.name.clone()).collect()
+        let isolated = self.isolated.borrow();
+        self.hosts.iter().chain(isolated.values()).map(|host| host.name.clone()).collect()
     }
 
     /// Waits until these serve, for as long as a system may take; returns the address of the last one.

@@ -93,11 +93,11 @@ impl Launch {
 
     /// Returns the program for an isolated component, made like `home`; `None`: `home` is no
     /// process of the file.
-    pub(super) fn apart(&self, process: &Name, home: &Name) -> Option<Program> {
+    pub(super) fn isolated(&self, process: &Name, home: &Name) -> Option<Program> {
         let home = self.processes.iter().find(|p| p.name == *home)?;
         let component = process.as_str().strip_prefix(home.name.as_str())?.strip_prefix('.')?;
         let lives = ComponentId::new(process.clone(), Name::parse(component).ok()?);
-        Some(self.host(&home.apart(&lives)))
+        Some(self.host(&home.isolated(&lives)))
     }
 
     fn host(&self, process: &ProcessSpec) -> Program {

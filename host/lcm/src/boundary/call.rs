@@ -19,7 +19,6 @@ use super::super::books::Misuse;
 use super::super::context;
 use super::super::core::{Core, Entered};
 use super::super::inbox::{Inbox, Position};
-use super::far::{FarCommand, FarRead};
 use super::host_table::HostContext;
 use super::inside::misused;
 use super::options;
@@ -27,6 +26,7 @@ use super::outcomes::{lacks, within_ns};
 use super::queue::{Destination, Lane, queue};
 use super::range::RangeCheck;
 use super::read::ReadTarget;
+use super::remote::{RemoteCommand, RemoteRead};
 use super::texts;
 use super::told;
 
@@ -36,8 +36,8 @@ pub(crate) enum FnBinding {
     Unbound,
     Command(CommandTarget),
     Read(ReadTarget),
-    FarCommand(FarCommand),
-    FarRead(FarRead),
+    RemoteCommand(RemoteCommand),
+    RemoteRead(RemoteRead),
 }
 
 /// Host cell behind a function slot.
@@ -104,8 +104,8 @@ impl FnCell {
         match bound.map(|bound| &bound.to) {
             Some(FnBinding::Read(target)) => target.call(arg, ret, Some(opts)),
             Some(FnBinding::Command(target)) => target.call_with(arg, ret, opts),
-            Some(FnBinding::FarCommand(target)) => target.call(arg, ret, Some(opts)),
-            Some(FnBinding::FarRead(target)) => target.call(arg, ret, Some(opts)),
+            Some(FnBinding::RemoteCommand(target)) => target.call(arg, ret, Some(opts)),
+            Some(FnBinding::RemoteRead(target)) => target.call(arg, ret, Some(opts)),
             Some(FnBinding::Unbound) => bound.map_or(UNBOUND, Bound::unbound),
             None => self.call_counted(arg, ret, Some(opts)),
         }
@@ -131,8 +131,8 @@ impl Bound {
             FnBinding::Unbound => self.unbound(),
             FnBinding::Command(target) => target.call(arg, ret, opts),
             FnBinding::Read(target) => target.call(arg, ret, opts),
-            FnBinding::FarCommand(target) => target.call(arg, ret, opts),
-            FnBinding::FarRead(target) => target.call(arg, ret, opts),
+            FnBinding::RemoteCommand(target) => target.call(arg, ret, opts),
+            FnBinding::RemoteRead(target) => target.call(arg, ret, opts),
         }
     }
 }
@@ -184,13 +184,15 @@ pub(super) unsafe extern "C" fn call_bytes(
             FnBinding::Command(target) if fits(target.lane.arg_bytes, target.lane.ret_bytes, !waits) => {
                 target.call(arg.ptr, place, opts)
             }
-            FnBinding::FarCommand(target) if fits(target.lane.arg_bytes, target.lane.ret_bytes, !waits) => {
+            FnBinding::RemoteCommand(target)
+                if fits(target.lane.arg_bytes, target.lane.ret_bytes, !waits) =>
+            {
                 target.call(arg.ptr, place, opts)
             }
             FnBinding::Read(target) if fits(target.arg_bytes, target.ret_bytes, false) => {
                 target.call(arg.ptr, ret.cast(), opts)
             }
-            FnBinding::FarRead(target) if fits(target.arg_bytes, target.ret_bytes, false) => {
+            FnBinding::RemoteRead(target) if fits(target.arg_bytes, target.ret_bytes, false) => {
                 target.call(arg.ptr, ret.cast(), opts)
             }
             _ => INVALID_ARGUMENT,

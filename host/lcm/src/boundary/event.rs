@@ -24,7 +24,7 @@ pub(crate) enum EventSink {
     /// A handler of a connected component.
     Handler(Handler),
     /// A handler of a component of another process.
-    Far(FarHandler),
+    Remote(RemoteHandler),
     /// An observer outside: the control plane.
     Tap(Arc<Tap>),
 }
@@ -41,14 +41,14 @@ pub(crate) struct Handler {
 }
 
 /// The queue of events to a component of another process.
-pub(crate) struct FarEvents {
+pub(crate) struct RemoteEvents {
     pub(crate) mailbox: Mailbox,
     pub(crate) bell: Arc<Waker>,
 }
 
 /// A handler of a component of another process.
-pub(crate) struct FarHandler {
-    pub(crate) to: Arc<FarEvents>,
+pub(crate) struct RemoteHandler {
+    pub(crate) to: Arc<RemoteEvents>,
     /// Position in the queue's table.
     pub(crate) index: u32,
 }
@@ -137,7 +137,7 @@ impl EventCell {
     }
 }
 
-impl FarHandler {
+impl RemoteHandler {
     /// False when the queue is full: counted there, told by the observer's own process.
     fn give(&self, payload: &[u8]) -> bool {
         pending::publish();
@@ -215,7 +215,7 @@ fn give(sinks: &[Arc<EventSink>], payload: &[u8]) -> Outcome {
                     outcome = QUEUE_FULL;
                 }
             }
-            EventSink::Far(handler) => {
+            EventSink::Remote(handler) => {
                 if !handler.give(payload) {
                     outcome = QUEUE_FULL;
                 }

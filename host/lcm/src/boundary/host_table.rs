@@ -18,8 +18,8 @@ use trocar_rt::os;
 use super::super::books::Misuse;
 use super::super::context;
 use super::super::core::{Component, Core};
-use super::super::desk::{Account, Desk};
 use super::super::logs::{self, LogRing};
+use super::super::request_queue::{Account, RequestQueue};
 use super::inside::running;
 use super::parallel;
 
@@ -31,7 +31,7 @@ pub(crate) struct HostContext {
     logs: Arc<LogRing>,
     core: Weak<Core>,
     pub(crate) account: Account,
-    desk: Arc<Desk>,
+    request_queue: Arc<RequestQueue>,
     /// True when the component's code keeps a handle that the host gave it, for an unknown time.
     held: AtomicBool,
     /// Uses of host handles by the component's code after the component was gone.
@@ -39,14 +39,14 @@ pub(crate) struct HostContext {
 }
 
 impl HostContext {
-    pub(crate) fn new(core: &Arc<Core>, logs: &Arc<LogRing>, desk: &Arc<Desk>) -> Arc<Self> {
+    pub(crate) fn new(core: &Arc<Core>, logs: &Arc<LogRing>, request_queue: &Arc<RequestQueue>) -> Arc<Self> {
         Arc::new(Self {
             number: core.number,
             id: core.id.clone(),
             logs: logs.clone(),
             core: Arc::downgrade(core),
             account: Account::default(),
-            desk: desk.clone(),
+            request_queue: request_queue.clone(),
             held: AtomicBool::new(false),
             late: AtomicU64::new(0),
         })
@@ -57,9 +57,9 @@ impl HostContext {
         self.held.load(Ordering::Acquire)
     }
 
-    /// Tells the desk that the component is gone.
+    /// Tells the queue of requests that the component is gone.
     pub(crate) fn leave(&self) {
-        self.desk.leave(self.number);
+        self.request_queue.leave(self.number);
     }
 
     /// Counts a use of a host handle by code of a component that is gone, and logs the first, the tenth, the
@@ -105,7 +105,7 @@ impl HostContext {
             core.books.misuse(Misuse::ServiceFromStep);
             return WOULD_BLOCK;
         }
-        self.desk.ask(&self.account, self.number, token, request).unwrap_or_else(|why| {
+        self.request_queue.ask(&self.account, self.number, token, request).unwrap_or_else(|why| {
             core.log(LOG_WARN, b"services", why.as_bytes());
             INVALID_ARGUMENT
         })

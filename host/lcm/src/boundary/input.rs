@@ -61,7 +61,7 @@ pub(crate) struct InLink {
 pub(crate) enum Newest {
     Here(Arc<AtomicU64>),
     /// Written by another process; the time of connecting counts until the first write.
-    Far(Word, u64),
+    Remote(Word, u64),
 }
 
 /// Most by which the clock of a look may lag behind that of a write, ns.
@@ -78,7 +78,7 @@ impl Newest {
     fn get(&self, now_ns: u64) -> u64 {
         match self {
             Newest::Here(stamp) => stamp.load(Ordering::Relaxed),
-            Newest::Far(stamp, connected_ns) => {
+            Newest::Remote(stamp, connected_ns) => {
                 // A stamp still ahead of the clock must not keep an input fresh for ever.
                 let said = Some(stamp.get()).filter(|said| *said <= now_ns.saturating_add(AHEAD_NS));
                 said.unwrap_or(0).max(*connected_ns)

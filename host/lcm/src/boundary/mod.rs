@@ -8,17 +8,16 @@ mod call;
 mod class;
 #[cfg(test)]
 pub(super) mod counting;
+pub(super) mod deferred;
 mod entry;
 mod event;
 #[cfg(test)]
 pub(super) mod fake;
-mod far;
 mod here;
 mod host_table;
 mod hot;
 mod input;
 pub(super) mod inside;
-pub(super) mod late;
 mod mend;
 mod needs;
 mod no_room;
@@ -31,6 +30,7 @@ mod queue;
 mod range;
 mod read;
 mod remains;
+mod remote;
 mod room;
 mod row;
 pub(super) mod same;
@@ -46,8 +46,7 @@ pub use class::LoadedClass;
 pub(super) use class::{linked_class, loaded_class};
 pub(super) use entry::{ERR_BYTES, Entered, EntryError, EntryResult, Object};
 pub(super) use event::{EventCell, EventSink, Handler, Tap};
-pub(super) use event::{FarEvents, FarHandler};
-pub(super) use far::{Asking, FarCommand, FarRead, FarServer, FarSource, FarTable, ReadAnswer};
+pub(super) use event::{RemoteEvents, RemoteHandler};
 pub(super) use here::{OwnClass, OwnRead, OwnRows, Panics};
 pub use host_table::plugin_log;
 pub(super) use host_table::{HostContext, SharedTable};
@@ -60,6 +59,9 @@ pub(super) use queue::{Lane, REPLACED, replaced};
 pub(super) use range::RangeCheck;
 pub(super) use read::{ReadTarget, Reader, read_published};
 pub(super) use remains::AllRemains;
+pub(super) use remote::{
+    Asking, ReadAnswer, RemoteCommand, RemoteRead, RemoteServer, RemoteSource, RemoteTable,
+};
 pub(super) use same::{same_input, same_output, same_provided, same_required};
 pub(super) use tap::{EventTap, command_tap, row_tap};
 pub(super) use texts::{as_bytes, sentence, text_in, write_err};

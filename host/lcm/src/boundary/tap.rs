@@ -13,8 +13,8 @@ use trocar_rt::stream::Meta;
 
 use super::super::core::{CommandTap, RowTap, TellsCommands, TellsRows};
 use super::super::pending;
+use super::deferred::{self, DeferredTap};
 use super::inside::runs_kept;
-use super::late::{self, LateTap};
 use super::output::OutCell;
 
 /// The tap of an event.
@@ -93,7 +93,7 @@ fn tell(tap: &Arc<OutCell>, words: [u32; 4], kept: &[u8], later: bool) {
     let stamp_ns = os::now_ns();
     // SAFETY: `later` is true only for a tap reached through the event's binding in this turn, or for that of
     // a component this thread keeps.
-    if !later || !unsafe { late::told(&**tap, words, kept, stamp_ns) } {
+    if !later || !unsafe { deferred::told(&**tap, words, kept, stamp_ns) } {
         tap.tell_now(words, kept, stamp_ns);
     }
 }
@@ -111,7 +111,7 @@ impl TellsRows for OutCell {
     }
 }
 
-impl LateTap for OutCell {
+impl DeferredTap for OutCell {
     #[inline(never)]
     fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64) {
         let mut head = [0; HEAD];

@@ -117,7 +117,7 @@ impl Joined for OnHeap {
                 events_in.close(PEER_LOST);
                 self.client.books.lose(events_in.events, events_in.unexecuted() - before);
                 self.server.books.lose(commands_in.events, commands_in.unexecuted());
-                commands_in.tell_toll(&*self.server);
+                commands_in.tell_failures(&*self.server);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The carrier `memfd`: memory that both ends map, the only one so far that leaves a process.
 //!
 //! Invariant: between two processes and, where it is pinned, inside one the memory is the same, laid out and
-//! used by the same code (`lcm/far`); inside one process both ends are joined at once, without a session.
+//! used by the same code (`lcm/remote`); inside one process both ends are joined at once, without a session.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,14 +13,14 @@ use trocar_model::{ComponentId, Refusal};
 use trocar_rt::wake::Waker;
 
 use super::super::ends::{Joined, Tell};
-use super::super::far::{Far, Half, NAME, Near};
 use super::super::instance::Instance;
 use super::super::loss::Loss;
+use super::super::remote::{Half, NAME, Near, Remote};
 use super::{Both, Carrier, Halves, OneEnd};
 
 pub(super) struct Memfd {
     /// `None` where this process does not listen for others.
-    far: Option<Far>,
+    remote: Option<Remote>,
     near: Near,
 }
 
@@ -33,8 +33,8 @@ impl Memfd {
         news: impl Fn(HalfReport) + Send + 'static,
         bell: Arc<Waker>,
     ) -> std::io::Result<Memfd> {
-        let far = socket.map(|socket| Far::start(process, socket, news)).transpose()?;
-        Ok(Memfd { far, near: Near::new(bell) })
+        let remote = socket.map(|socket| Remote::start(process, socket, news)).transpose()?;
+        Ok(Memfd { remote, near: Near::new(bell) })
     }
 }
 
@@ -52,7 +52,7 @@ impl Carrier for Memfd {
     }
 
     fn halves(&self) -> Option<&dyn Halves> {
-        self.far.as_ref().map(|far| far as &dyn Halves)
+        self.remote.as_ref().map(|remote| remote as &dyn Halves)
     }
 
     fn tend(&self) -> bool {
@@ -60,15 +60,15 @@ impl Carrier for Memfd {
     }
 
     fn stop(&self) {
-        if let Some(far) = &self.far {
-            far.stop();
+        if let Some(remote) = &self.remote {
+            remote.stop();
         }
     }
 }
 
-impl Halves for Far {
+impl Halves for Remote {
     fn card(&self) -> &Card {
-        Far::card(self)
+        Remote::card(self)
     }
 
     fn reaches(&self, card: &Card) -> Result<(), String> {
@@ -76,34 +76,34 @@ impl Halves for Far {
     }
 
     fn add(&self, end: OneEnd, tell: Option<Tell>) -> Result<(), Refusal> {
-        let OneEnd { connection, role, here, required, theirs, card, kin } = end;
-        let half = Half::new((connection, role), here, required, (theirs, card, kin), tell);
+        let OneEnd { connection, role, here, required, theirs, card, same_class } = end;
+        let half = Half::new((connection, role), here, required, (theirs, card, same_class), tell);
         half.terms(false)?;
-        Far::add(self, half);
+        Remote::add(self, half);
         Ok(())
     }
 
     fn remove(&self, connection: u64, how: Loss, tell: oneshot::Sender<()>) -> Option<Arc<Instance>> {
-        Far::remove(self, connection, how, tell).map(|half| half.here.instance.clone())
+        Remote::remove(self, connection, how, tell).map(|half| half.here.instance.clone())
     }
 
     fn why_not(&self, connection: u64) -> String {
-        Far::why_not(self, connection)
+        Remote::why_not(self, connection)
     }
 
     fn cut_misfits(&self, component: &ComponentId, lost: &[String]) -> Vec<u64> {
-        Far::cut_misfits(self, component, lost)
+        Remote::cut_misfits(self, component, lost)
     }
 
     fn connections(&self) -> Vec<u64> {
-        Far::connections(self)
+        Remote::connections(self)
     }
 
     fn details(&self) -> Vec<LinkDetail> {
-        Far::details(self)
+        Remote::details(self)
     }
 
     fn reports(&self) -> Vec<HalfReport> {
-        Far::reports(self)
+        Remote::reports(self)
     }
 }

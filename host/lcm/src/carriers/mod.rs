@@ -17,7 +17,7 @@ use trocar_model::{ComponentId, Connection, Link, Ports, Refusal};
 use trocar_rt::wake::Waker;
 
 use super::described::PortSet;
-use super::ends::{Here, Joined, Kin, Role, Tell};
+use super::ends::{Here, Joined, Role, SameClass, Tell};
 use super::instance::Instance;
 use super::loss::Loss;
 use inline::Inline;
@@ -67,7 +67,7 @@ pub(super) struct OneEnd {
     pub(super) theirs: Arc<Ports>,
     pub(super) card: Card,
     /// For a client: whether the code of the server's class is here.
-    pub(super) kin: Kin,
+    pub(super) same_class: SameClass,
 }
 
 /// One way for data to travel.

@@ -10,7 +10,6 @@ use trocar_rt::mailbox::EntryHead;
 use trocar_rt::os;
 
 use super::super::boundary::{as_bytes, replaced, text_in};
-use super::super::goal::Goal;
 use super::super::inbox::{ENTRY_DUE, ENTRY_EVENT, Inbox};
 use super::super::{context, pending};
 use super::{Core, Entered};
@@ -24,29 +23,9 @@ fn tell_queued(entered: &mut Entered<'_>, command: Option<u32>, arg: &[u8], outc
     }
 }
 
-/// Longest wait of a goal that was only sent to an actuator, ns, if its connection gives no deadline; or so
-/// many of the actuator's own periods, if those are longer.
-const GOAL_NS: u64 = 100_000_000;
-const GOAL_PERIODS: u64 = 3;
-/// Likewise for a stream of goals, ns: a machine without real-time threads is late by some milliseconds.
-const SERVO_NS: u64 = 10_000_000;
 /// Number of times a caller runs the entries that others queued into a passive component meanwhile; then the
 /// component's own thread goes on.
 const ROUNDS: usize = 2;
-
-/// Longest wait of a goal that was only sent, ns; `None`: no limit. `said_ns` is the deadline of its
-/// connection and `period_ns` that of the component's own grid, 0 without one.
-fn may_wait_ns(goal: Goal, said_ns: u64, is_actuator: bool, period_ns: u64) -> Option<u64> {
-    let periods_ns = GOAL_PERIODS * period_ns;
-    match goal {
-        Goal::None => None,
-        _ if said_ns > 0 => Some(said_ns),
-        _ if !is_actuator => None,
-        Goal::Numbers | Goal::State => Some(GOAL_NS.max(periods_ns)),
-        Goal::Servo if periods_ns > 0 => Some(SERVO_NS.max(periods_ns)),
-        Goal::Servo => Some(GOAL_NS),
-    }
-}
 
 impl Core {
     /// Changes the list of queues; managers only.
@@ -149,7 +128,8 @@ impl Core {
             return false;
         }
         let goal = entered.inner().goals.get(command as usize).copied().unwrap_or_default();
-        may_wait_ns(goal.with(arg), inbox.deadline_ns, self.is_actuator(), self.period_ns())
+        goal.with(arg)
+            .may_wait_ns(inbox.deadline_ns, self.is_actuator(), self.period_ns())
             .is_some_and(|longest_ns| os::now_ns().saturating_sub(head.stamp_ns) > longest_ns)
     }
 
@@ -216,47 +196,6 @@ impl Core {
         if self.signalled.serve(ROUNDS, || self.object.try_enter(), free, work) {
             // Also where this is its own thread, which may be about to rest.
             context::wake(&self.waker);
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Goal, may_wait_ns};
-
-    const MS: u64 = 1_000_000;
-
-    #[test]
-    fn a_goal_waits_for_an_actuator_100_ms_and_one_of_a_stream_three_periods_unless_its_connection_says() {
-        use Goal::{None as Words, Numbers, Servo, State};
-        // Columns: goal, deadline of its connection, whether it moves something, period; longest wait. All in
-        // ms.
-        for (goal, said, actuator, period, longest) in [
-            (Numbers, 0, true, 0, Some(100)),
-            (Numbers, 0, true, 1, Some(100)),
-            (Numbers, 0, true, 33, Some(100)),
-            (Numbers, 0, true, 50, Some(150)),
-            (Servo, 0, true, 5, Some(15)),
-            (Servo, 0, true, 50, Some(150)),
-            // A machine without real-time threads is late by so much.
-            (Servo, 0, true, 1, Some(10)),
-            (Servo, 0, true, 0, Some(100)),
-            (Numbers, 20, true, 1, Some(20)),
-            (Servo, 20, true, 1, Some(20)),
-            (Servo, 500, false, 1, Some(500)),
-            // A word that sets it in motion is a goal like any other.
-            (State, 0, true, 1, Some(100)),
-            (State, 20, true, 1, Some(20)),
-            (State, 0, false, 1, None),
-            (Numbers, 0, false, 1, None),
-            (Servo, 0, false, 1, None),
-            // A stop is right however late it comes.
-            (Words, 20, true, 1, None),
-            (Words, 0, true, 0, None),
-        ] {
-            let case = format!("{goal:?}, {said} ms said, actuator {actuator}, period {period} ms");
-            let answer = may_wait_ns(goal, said * MS, actuator, period * MS);
-            assert_eq!(answer, longest.map(|ms: u64| ms * MS), "{case}");
         }
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use trocar_loader::system;
 use trocar_rt::os;
 
-use super::super::boundary::late;
+use super::super::boundary::deferred;
 use super::super::context;
 use super::super::pending::{self, Owed, Owes};
 use super::{Core, Entered, Inner, ShownRows, View};
@@ -68,7 +68,7 @@ impl Core {
             self.show_row();
             if inner.row_tap.as_ref().is_some_and(|tap| tap.is_listened()) {
                 inner.untold = Some((stamp_ns, published.row + 1));
-                if !late::row(self) {
+                if !deferred::row(self) {
                     inner.tell_row();
                 }
             }

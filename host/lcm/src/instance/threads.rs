@@ -14,7 +14,7 @@ pub(crate) struct Threads {
     /// Settings of its thread that the machine granted or refused; set once.
     settings: OnceLock<Arc<Settings>>,
     /// Threads its own code may have started: their names, and whether they may live until `destroy`.
-    brood: Mutex<BTreeMap<i32, (String, bool)>>,
+    children: Mutex<BTreeMap<i32, (String, bool)>>,
     /// The moment before its code first ran.
     made: OnceLock<Moment>,
 }
@@ -31,7 +31,7 @@ impl Threads {
     }
 
     fn all(&self) -> MutexGuard<'_, BTreeMap<i32, (String, bool)>> {
-        self.brood.lock().unwrap_or_else(PoisonError::into_inner)
+        self.children.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Notes threads, with their names, that appeared during one of its entries; `lasts`: they may live until

@@ -21,7 +21,7 @@ use super::super::instance::{Entered, Instance};
 use super::super::lifecycle::{
     component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure, undo_start,
 };
-use super::super::supervise::{LEAVE_NS, Manners, Strangers, Ward, cannot_go_on, give_up};
+use super::super::supervise::{Guarded, LEAVE_NS, Manners, Strangers, cannot_go_on, give_up};
 use super::super::watch::Entry;
 use super::{LocalLcm, Slot};
 
@@ -101,7 +101,7 @@ impl LocalLcm {
             }
             no_room.refusal(&id)
         })?;
-        self.roster.add(Ward::new(instance.clone(), executor.clone()));
+        self.roster.add(Guarded::new(instance.clone(), executor.clone()));
         self.hub.logs.name(number, Some(&id));
         let slot = Slot { instance, executor, execution, config: None, phase: None };
         let done = self.inside(&slot, Entry::Create, deadline, make).await;
@@ -290,7 +290,7 @@ impl LocalLcm {
         deadline: Instant,
     ) -> Result<(State, Option<EntryResult>), Refusal> {
         let config = slot.config.clone();
-        let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
+        let guarded = Guarded::new(slot.instance.clone(), slot.executor.clone());
         let alone = self.is_alone(slot);
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
             let from = instance.state();
@@ -299,7 +299,7 @@ impl LocalLcm {
                 Verb::Start | Verb::Resume if from == State::Fault => return (from, None),
                 Verb::Start => start(instance, entered),
                 Verb::Resume => resume(instance, entered),
-                Verb::Reset => reset(instance, entered, config.as_deref(), || outlasts(&ward, alone)),
+                Verb::Reset => reset(instance, entered, config.as_deref(), || outlasts(&guarded, alone)),
                 Verb::Stop | Verb::Configure | Verb::Remove => Ok(()),
             };
             (from, Some(done))
@@ -363,7 +363,7 @@ impl LocalLcm {
                 let why = format!("stop: it did not come back; its thread is inside {}", self.held_by(slot));
                 slot.instance.set_state(State::Fault, &why);
                 if slot.instance.is_actuator() {
-                    give_up(&Ward::new(slot.instance.clone(), slot.executor.clone()));
+                    give_up(&Guarded::new(slot.instance.clone(), slot.executor.clone()));
                 }
                 Err(refusal)
             }
@@ -391,10 +391,10 @@ impl LocalLcm {
 
     /// Warning about threads that a removed component left running, after some time to end.
     async fn leftovers(&self, slot: &Slot) -> Option<String> {
-        let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
+        let guarded = Guarded::new(slot.instance.clone(), slot.executor.clone());
         let until = Instant::now() + Duration::from_nanos(LEAVE_NS);
         loop {
-            let left = Strangers::look().left_behind(&ward);
+            let left = Strangers::look().left_behind(&guarded);
             if left.is_empty() {
                 return None;
             }
@@ -423,15 +423,15 @@ impl LocalLcm {
         let patience = deadline.min(Instant::now() + HUNG);
         let number = slot.instance.number;
         let (tell, told) = oneshot::channel();
-        let ward = Ward::new(slot.instance.clone(), slot.executor.clone());
+        let guarded = Guarded::new(slot.instance.clone(), slot.executor.clone());
         // Its thread does this whenever it comes to it, also long after the remover has given up.
         slot.executor.submit(move |crew| {
             crew.members.retain(|m| m.instance.number != number);
-            end(&ward, crew.members.is_empty());
+            end(&guarded, crew.members.is_empty());
             // Otherwise the remover looks for such threads, and gives them time to end.
             let late = tell.send(()).is_err();
-            if late && !Strangers::look().left_behind(&ward).is_empty() {
-                retire(&ward.instance, STRAYS);
+            if late && !Strangers::look().left_behind(&guarded).is_empty() {
+                retire(&guarded.instance, STRAYS);
             }
         });
         let told = tokio::time::timeout_at(patience.into(), told).await;
@@ -470,7 +470,7 @@ impl LocalLcm {
         let (instance, id) = (&slot.instance, &slot.instance.id);
         let why = format!("its thread has not come back out of {}", self.held_by(slot));
         if instance.is_actuator() && instance.set_state_from(State::Active, State::Fault, &why) {
-            give_up(&Ward::new(instance.clone(), slot.executor.clone()));
+            give_up(&Guarded::new(instance.clone(), slot.executor.clone()));
         }
         instance.close();
         format!(
@@ -494,9 +494,9 @@ async fn hangs(slot: &Slot) {
 
 /// Tells whether threads that use the instance still run after the stop; they get some time to end if no
 /// other component waits for this thread.
-fn outlasts(ward: &Ward, alone: bool) -> bool {
+fn outlasts(guarded: &Guarded, alone: bool) -> bool {
     let until = Instant::now() + Duration::from_nanos(if alone { LEAVE_NS } else { 0 });
-    while Strangers::look().outlast_stop(ward) {
+    while Strangers::look().outlast_stop(guarded) {
         if Instant::now() >= until {
             return true;
         }
@@ -507,8 +507,8 @@ fn outlasts(ward: &Ward, alone: bool) -> bool {
 
 /// Stops and destroys a removed component, on its own thread; one whose threads still run is not destroyed
 /// but kept. `alone`: no other component runs there.
-fn end(ward: &Ward, alone: bool) {
-    let instance = &ward.instance;
+fn end(guarded: &Guarded, alone: bool) {
+    let instance = &guarded.instance;
     // A caller's thread, or one of its device, may be inside. Others on this thread must not wait for that
     // for ever.
     let until_ns = if alone { NEVER_NS } else { os::now_ns() + HUNG.as_nanos() as u64 };
@@ -525,7 +525,7 @@ fn end(ward: &Ward, alone: bool) {
         }
         instance.pay_safe(&mut entered);
         instance.close();
-        if outlasts(ward, alone) {
+        if outlasts(guarded, alone) {
             retire(instance, STRAYS);
         } else if instance.destroy(&mut entered) {
             // A hanging cycle of another component may keep these slots for long; it must not keep frames of

@@ -88,7 +88,7 @@ impl LocalLcm {
             }
             self.lock_pools(&instance);
             instance.full_queues(now_ns).iter().for_each(|inbox| tell_full(&instance, inbox));
-            instance.queues().iter().for_each(|inbox| inbox.tell_toll(&*instance));
+            instance.queues().iter().for_each(|inbox| inbox.tell_failures(&*instance));
             in_use += instance.reclaim();
         }
         in_use += self.reclaim_left();
@@ -144,8 +144,8 @@ impl LocalLcm {
         if lost.is_empty() {
             return Vec::new();
         }
-        let far = self.carriers.halves().flat_map(|halves| halves.cut_misfits(&instance.id, &lost));
-        let far: Vec<u64> = far.collect();
+        let remote = self.carriers.halves().flat_map(|halves| halves.cut_misfits(&instance.id, &lost));
+        let remote: Vec<u64> = remote.collect();
         let gone = |id: &ComponentId, port: &str| *id == instance.id && lost.iter().any(|l| l == port);
         let held = self.held();
         let links = held.links.values().filter(|l| {
@@ -153,7 +153,7 @@ impl LocalLcm {
         });
         let links: Vec<u64> = links.filter(|l| !l.still_fits()).map(|l| l.id).collect();
         drop(held);
-        links.into_iter().filter(|id| self.cut(*id).is_some()).chain(far).collect()
+        links.into_iter().filter(|id| self.cut(*id).is_some()).chain(remote).collect()
     }
 }
 

@@ -15,7 +15,7 @@ use super::super::concern::Concern;
 use super::super::hub::Hub;
 use super::household::is_own_process;
 use super::minding::{Minding, minded, minding};
-use super::roster::Ward;
+use super::roster::Guarded;
 
 /// Most names of components in a report.
 const TOLD: usize = 8;
@@ -84,8 +84,8 @@ pub(super) fn settle(hub: &Hub, who: &str) -> Option<String> {
 }
 
 /// A sentence about the closed descriptors, once, with these suspects.
-pub(super) fn what_is_gone(wards: &[&Ward]) -> Option<String> {
-    gone(&suspects(wards)).map(|(what, _)| what)
+pub(super) fn what_is_gone(all_guarded: &[&Guarded]) -> Option<String> {
+    gone(&suspects(all_guarded)).map(|(what, _)| what)
 }
 
 /// A sentence about the closed descriptors, once; true if the process cannot do without them.
@@ -108,8 +108,8 @@ fn gone(who: &str) -> Option<(String, bool)> {
 /// Looks at one descriptor in turn, for the watchdog: at all within a tenth of a second or so. The sentence
 /// is that of [`settle`].
 #[must_use = "the process cannot go on then"]
-pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) -> Option<String> {
-    let before = minded(wards);
+pub(super) fn look(hub: &Hub, all_guarded: &[&Guarded], turns: &mut Turns) -> Option<String> {
+    let before = minded(all_guarded);
     let is_there = match lasting().as_mut() {
         Some(lasting) => {
             if lasting.is_round() {
@@ -120,18 +120,18 @@ pub(super) fn look(hub: &Hub, wards: &[&Ward], turns: &mut Turns) -> Option<Stri
         None => true,
     };
     // An entry that looks after its manners itself comes to it.
-    if is_there || matches!(minding(wards, &before), Minding::Looks) {
+    if is_there || matches!(minding(all_guarded, &before), Minding::Looks) {
         return None;
     }
-    let who = suspects(wards);
+    let who = suspects(all_guarded);
     let who = if turns.had_a_load() { format!("a plugin that was being loaded, or {who},") } else { who };
     settle(hub, &who)
 }
 
 /// Names all components: a thread of one may have done it outside of its entries.
-fn suspects(wards: &[&Ward]) -> String {
-    let names: Vec<String> = wards.iter().take(TOLD).map(|w| w.instance.id.to_string()).collect();
-    match (names.as_slice(), wards.len().saturating_sub(TOLD)) {
+fn suspects(all_guarded: &[&Guarded]) -> String {
+    let names: Vec<String> = all_guarded.iter().take(TOLD).map(|w| w.instance.id.to_string()).collect();
+    match (names.as_slice(), all_guarded.len().saturating_sub(TOLD)) {
         ([], _) => "code in this process".to_owned(),
         ([one], _) => one.clone(),
         (_, 0) => format!("one of {}", names.join(", ")),

@@ -24,7 +24,7 @@ use super::household::household;
 use super::last::cannot_go_on;
 use super::minding::{Minding, minded, minding};
 use super::moment;
-use super::roster::Ward;
+use super::roster::Guarded;
 use super::strangers::Strangers;
 
 /// Time between two looks at the signal mask of a thread, and at the state of the process, ns.
@@ -155,32 +155,32 @@ pub(super) struct Premises {
 }
 
 impl Premises {
-    /// Looks once. `are_all` is asked after the look: no component was added since `wards` were taken. `busy`
+    /// Looks once. `are_all` is asked after the look: no component was added since `all_guarded` were taken. `busy`
     /// is asked last: the components that were inside since the last look that returned true; those with
     /// commands first. False: a component inside looks for itself, or is not known yet, so nothing is
     /// reported yet.
     pub(super) fn look<'a>(
         &mut self,
         now_ns: u64,
-        wards: &[&'a Ward],
+        all_guarded: &[&'a Guarded],
         are_all: impl FnOnce() -> bool,
-        busy: impl FnOnce() -> Vec<&'a Ward>,
+        busy: impl FnOnce() -> Vec<&'a Guarded>,
     ) -> bool {
-        let directory = look_at_directory(wards, are_all, busy);
+        let directory = look_at_directory(all_guarded, are_all, busy);
         let mut suspects = directory == Found::Several;
-        for members in self.masks.due(now_ns, wards) {
+        for members in self.masks.due(now_ns, all_guarded) {
             suspects |= mask(&members);
         }
         if now_ns.saturating_sub(self.household_ns) >= ROUND_NS {
             self.household_ns = now_ns;
             let loads = self.loads.replace(loader::moment());
-            look_at_household(wards, loads);
+            look_at_household(all_guarded, loads);
         }
         if suspects {
             self.suspected_ns = now_ns + SUSPECTED_NS;
         } else if self.suspected_ns != 0 && now_ns > self.suspected_ns {
             self.suspected_ns = 0;
-            wards.iter().for_each(|ward| ward.instance.watch.suspect(false));
+            all_guarded.iter().for_each(|guarded| guarded.instance.watch.suspect(false));
         }
         directory != Found::TooEarly
     }
@@ -196,9 +196,9 @@ struct Round {
 
 impl Round {
     /// Returns the members of each thread whose turn it is.
-    fn due<'a>(&mut self, now_ns: u64, wards: &[&'a Ward]) -> Vec<Vec<&'a Ward>> {
-        let mut threads: BTreeMap<u64, Vec<&Ward>> = BTreeMap::new();
-        wards.iter().for_each(|ward| threads.entry(ward.executor.id).or_default().push(ward));
+    fn due<'a>(&mut self, now_ns: u64, all_guarded: &[&'a Guarded]) -> Vec<Vec<&'a Guarded>> {
+        let mut threads: BTreeMap<u64, Vec<&Guarded>> = BTreeMap::new();
+        all_guarded.iter().for_each(|guarded| threads.entry(guarded.executor.id).or_default().push(guarded));
         let all = threads.len() as u64;
         let share = all * now_ns.saturating_sub(self.last_ns).min(ROUND_NS) / ROUND_NS;
         if share == 0 {
@@ -214,13 +214,13 @@ impl Round {
 
 /// Finds changes of the whole process made by steps, commands and threads of components. Changes by an entry
 /// that looks for itself are left to that entry; the loader has reported state that a load left behind.
-fn look_at_household(wards: &[&Ward], loads: Option<Moment>) {
+fn look_at_household(all_guarded: &[&Guarded], loads: Option<Moment>) {
     if household().is_none() {
         return;
     }
-    let before = minded(wards);
+    let before = minded(all_guarded);
     let now = Household::look();
-    if matches!(minding(wards, &before), Minding::Looks) {
+    if matches!(minding(all_guarded, &before), Minding::Looks) {
         return;
     }
     let mut known = household();
@@ -228,15 +228,15 @@ fn look_at_household(wards: &[&Ward], loads: Option<Moment>) {
         known.take_over(&now);
     }
     let changes =
-        known.as_ref().filter(|_| !wards.is_empty()).map_or_else(Vec::new, |last| last.put_back(&now));
+        known.as_ref().filter(|_| !all_guarded.is_empty()).map_or_else(Vec::new, |last| last.put_back(&now));
     *known = Some(if changes.is_empty() { now } else { Household::look() });
     drop(known);
     for said in changes {
-        match wards {
-            [ward] => ward.instance.warn(&format!("it changed {said}")),
+        match all_guarded {
+            [guarded] => guarded.instance.warn(&format!("it changed {said}")),
             _ => log::warn!(
                 "code in this process, of one of {} components or beside them, changed {said}",
-                wards.len()
+                all_guarded.len()
             ),
         }
     }
@@ -254,17 +254,17 @@ enum Found {
 }
 
 fn look_at_directory<'a>(
-    wards: &[&'a Ward],
+    all_guarded: &[&'a Guarded],
     are_all: impl FnOnce() -> bool,
-    busy: impl FnOnce() -> Vec<&'a Ward>,
+    busy: impl FnOnce() -> Vec<&'a Guarded>,
 ) -> Found {
-    let before = minded(wards);
+    let before = minded(all_guarded);
     let moment = loader::moment();
     let Some((now, home)) = whereabouts().filter(|(now, home)| now != home) else { return Found::Settled };
     if loader::has_loaded_since(moment) || !are_all() {
         return Found::TooEarly;
     }
-    let hang = match minding(wards, &before) {
+    let hang = match minding(all_guarded, &before) {
         Minding::Nobody => None,
         Minding::Looks => return Found::TooEarly,
         Minding::Hang(stuck) => Some(stuck),
@@ -281,19 +281,19 @@ fn look_at_directory<'a>(
 /// Warns the suspects of the change; a single suspect did it. True when there are several: if it happens
 /// again, they are looked at one by one. A suspect already under such a look would have been found out, so
 /// another one did it.
-fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
+fn accuse(suspects: &[&Guarded], what: &str, misdeed: Misdeed) -> bool {
     if suspects.is_empty() {
         log::warn!("{what}, by no component that was seen running");
         return false;
     }
     // All are asked, so that a change found now is not taken for one found later.
-    let (found, free): (Vec<&Ward>, Vec<&Ward>) =
+    let (found, free): (Vec<&Guarded>, Vec<&Guarded>) =
         suspects.iter().partition(|w| w.instance.watch.takes_found_out(misdeed));
-    let (known, others): (Vec<&Ward>, Vec<&Ward>) =
+    let (known, others): (Vec<&Guarded>, Vec<&Guarded>) =
         free.iter().partition(|w| w.instance.watch.is_suspected());
     match others.as_slice() {
         [] => return true,
-        [ward] if found.is_empty() => ward.instance.warn(what),
+        [guarded] if found.is_empty() => guarded.instance.warn(what),
         // A change found at one may have been made beside it by another one that is not looked at yet.
         _ => {
             let names: Vec<String> = found.iter().chain(&others).map(|w| w.instance.id.to_string()).collect();
@@ -307,8 +307,8 @@ fn accuse(suspects: &[&Ward], what: &str, misdeed: Misdeed) -> bool {
 
 /// Looks at the signal mask of these members' thread, as the kernel shows it; true when several are
 /// suspected.
-fn mask(members: &[&Ward]) -> bool {
-    let Some(executor) = members.first().map(|ward| &ward.executor) else { return false };
+fn mask(members: &[&Guarded]) -> bool {
+    let Some(executor) = members.first().map(|guarded| &guarded.executor) else { return false };
     let before = minded(members);
     let (Some(now), Some(own)) = (blocked(executor.tid()), executor.settings.hygiene()) else { return false };
     if now == own.sigmask {

@@ -21,7 +21,7 @@ use super::super::hub::Hub;
 use super::super::instance::Instance;
 use super::super::watch::Entry;
 use super::descriptors;
-use super::roster::{Roster, Ward};
+use super::roster::{Guarded, Roster};
 
 /// Longest time for devices to come to their safe condition.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -63,7 +63,7 @@ fn own_roster() -> MutexGuard<'static, Option<Arc<Roster>>> {
     ROSTER.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn wards() -> Vec<Ward> {
+fn all_guarded() -> Vec<Guarded> {
     own_roster().as_ref().map(|roster| roster.all()).unwrap_or_default()
 }
 
@@ -86,9 +86,9 @@ fn caught() -> ! {
         // This thread does nothing that could panic; if it does, only the end is left.
         end("its devices could not be made safe");
     }
-    let wards = wards();
-    for ward in wards.iter().filter(|ward| ward.executor.id == context::executor()) {
-        let instance = &ward.instance;
+    let all_guarded = all_guarded();
+    for guarded in all_guarded.iter().filter(|guarded| guarded.executor.id == context::executor()) {
+        let instance = &guarded.instance;
         cease(instance, "");
         instance.make_safe_silently();
         if !instance.info.safe_from_any_thread {
@@ -96,7 +96,7 @@ fn caught() -> ! {
             instance.watch.takes_owed_safe();
         }
     }
-    let all: Vec<&Ward> = wards.iter().collect();
+    let all: Vec<&Guarded> = all_guarded.iter().collect();
     begin(descriptors::what_is_gone(&all).unwrap_or_else(|| "a thread of the host broke down".to_owned()));
     loop {
         thread::park();
@@ -115,12 +115,12 @@ fn begin(why: String) {
 }
 
 fn stand(why: &str) {
-    let wards = wards();
-    wards.iter().for_each(|ward| cease(&ward.instance, why));
+    let all_guarded = all_guarded();
+    all_guarded.iter().for_each(|guarded| cease(&guarded.instance, why));
     // All components that are owed it, also those another thread has begun with.
-    wards.iter().filter(|ward| ward.instance.watch.owes_safe()).for_each(have_it_made_safe);
+    all_guarded.iter().filter(|guarded| guarded.instance.watch.owes_safe()).for_each(have_it_made_safe);
     let until = Instant::now() + PATIENCE;
-    while wards.iter().any(|ward| is_underway(&ward.instance)) && Instant::now() < until {
+    while all_guarded.iter().any(|guarded| is_underway(&guarded.instance)) && Instant::now() < until {
         thread::sleep(LOOK);
     }
     end(why);
@@ -144,8 +144,8 @@ fn cease(instance: &Instance, why: &str) {
     }
 }
 
-fn have_it_made_safe(ward: &Ward) {
-    let instance = ward.instance.clone();
+fn have_it_made_safe(guarded: &Guarded) {
+    let instance = guarded.instance.clone();
     if instance.info.safe_from_any_thread {
         let instance = instance.clone();
         let outside = move || {
@@ -156,7 +156,7 @@ fn have_it_made_safe(ward: &Ward) {
         // Without a new thread, the component's own one does it.
         let _ = house::spawn(thread::Builder::new().name("trocar-safe".into()), outside);
     }
-    ward.executor.submit(move |_| instance.make_safe_silently());
+    guarded.executor.submit(move |_| instance.make_safe_silently());
 }
 
 fn is_underway(instance: &Instance) -> bool {

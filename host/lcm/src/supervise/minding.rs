@@ -2,7 +2,7 @@
 
 use trocar_model::Health;
 
-use super::roster::Ward;
+use super::roster::Guarded;
 
 /// Entries that check their own manners.
 pub(super) enum Minding<'a> {
@@ -10,19 +10,19 @@ pub(super) enum Minding<'a> {
     /// At least one of them will come to it.
     Looks,
     /// These components look themselves, and none of them returns.
-    Hang(Vec<&'a Ward>),
+    Hang(Vec<&'a Guarded>),
 }
 
 /// Counters of these components' own looks, for [`minding`].
-pub(super) fn minded(wards: &[&Ward]) -> Vec<u64> {
-    wards.iter().map(|w| w.instance.watch.minded()).collect()
+pub(super) fn minded(all_guarded: &[&Guarded]) -> Vec<u64> {
+    all_guarded.iter().map(|w| w.instance.watch.minded()).collect()
 }
 
 /// Tells which components look for themselves, or did since `before` was taken.
-pub(super) fn minding<'a>(wards: &[&'a Ward], before: &[u64]) -> Minding<'a> {
-    let now = minded(wards);
-    let inside: Vec<&Ward> =
-        wards.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
+pub(super) fn minding<'a>(all_guarded: &[&'a Guarded], before: &[u64]) -> Minding<'a> {
+    let now = minded(all_guarded);
+    let inside: Vec<&Guarded> =
+        all_guarded.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
     if now != before || inside.iter().any(|w| w.instance.watch.health() != Health::Unresponsive) {
         Minding::Looks
     } else if inside.is_empty() {

@@ -11,51 +11,54 @@ use super::super::instance::Instance;
 
 /// One component and its thread.
 #[derive(Clone)]
-pub(crate) struct Ward {
+pub(crate) struct Guarded {
     pub(crate) instance: Arc<Instance>,
     pub(crate) executor: Arc<Executor>,
 }
 
-impl Ward {
-    pub(crate) fn new(instance: Arc<Instance>, executor: Arc<Executor>) -> Ward {
-        Ward { instance, executor }
+impl Guarded {
+    pub(crate) fn new(instance: Arc<Instance>, executor: Arc<Executor>) -> Guarded {
+        Guarded { instance, executor }
     }
 }
 
 #[derive(Default)]
 pub(crate) struct Roster {
-    wards: Mutex<Vec<Ward>>,
+    all_guarded: Mutex<Vec<Guarded>>,
     edition: AtomicU64,
 }
 
 impl Roster {
     /// Adds a component, or moves it to another thread.
-    pub(crate) fn add(&self, ward: Ward) {
-        let mut wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
-        wards.retain(|w| w.instance.number != ward.instance.number);
-        wards.push(ward);
+    pub(crate) fn add(&self, guarded: Guarded) {
+        let mut all_guarded = self.all_guarded.lock().unwrap_or_else(PoisonError::into_inner);
+        all_guarded.retain(|w| w.instance.number != guarded.instance.number);
+        all_guarded.push(guarded);
         self.edition.fetch_add(1, Ordering::Release);
     }
 
     pub(crate) fn remove(&self, number: u32) {
-        self.wards.lock().unwrap_or_else(PoisonError::into_inner).retain(|w| w.instance.number != number);
+        self.all_guarded
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .retain(|w| w.instance.number != number);
         self.edition.fetch_add(1, Ordering::Release);
     }
 
     /// Tells whether every component on the list now is one of `known`. Components removed since may still be
     /// among those.
-    pub(super) fn has_only(&self, known: &[&Ward]) -> bool {
+    pub(super) fn has_only(&self, known: &[&Guarded]) -> bool {
         let known: HashSet<u32> = known.iter().map(|k| k.instance.number).collect();
-        let wards = self.wards.lock().unwrap_or_else(PoisonError::into_inner);
-        wards.iter().all(|w| known.contains(&w.instance.number))
+        let all_guarded = self.all_guarded.lock().unwrap_or_else(PoisonError::into_inner);
+        all_guarded.iter().all(|w| known.contains(&w.instance.number))
     }
 
-    pub(super) fn all(&self) -> Vec<Ward> {
-        self.wards.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    pub(super) fn all(&self) -> Vec<Guarded> {
+        self.all_guarded.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The list, if its edition differs from `seen`, which is brought up to date.
-    pub(super) fn news(&self, seen: &mut u64) -> Option<Vec<Ward>> {
+    pub(super) fn news(&self, seen: &mut u64) -> Option<Vec<Guarded>> {
         let edition = self.edition.load(Ordering::Acquire);
         if edition == *seen {
             return None;

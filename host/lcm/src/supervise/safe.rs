@@ -16,7 +16,7 @@ use trocar_rt::house;
 
 use super::super::boundary::EntryError;
 use super::super::instance::Instance;
-use super::roster::Ward;
+use super::roster::Guarded;
 
 /// Name of a `make_safe` called from here, for reports.
 const OUTSIDE: &str = "make_safe from another thread";
@@ -24,8 +24,8 @@ const OUTSIDE: &str = "make_safe from another thread";
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Makes an actuator that makes no progress safe as soon as any thread can; its state was set before.
-pub(crate) fn give_up(ward: &Ward) {
-    let instance = &ward.instance;
+pub(crate) fn give_up(guarded: &Guarded) {
+    let instance = &guarded.instance;
     if !instance.watch.owe_safe() {
         return;
     }
@@ -35,7 +35,7 @@ pub(crate) fn give_up(ward: &Ward) {
         make_safe_outside(instance);
     }
     let stuck = instance.clone();
-    ward.executor.submit(move |_| {
+    guarded.executor.submit(move |_| {
         match stuck.object.try_enter() {
             Some(mut entered) => stuck.pay_safe(&mut entered),
             // A thread of its own or of a caller is inside: that thread makes it safe when it looks at the

@@ -15,7 +15,7 @@ use trocar_rt::threads;
 use super::super::executor;
 use super::household::is_own_process;
 use super::moment::Moment;
-use super::roster::Ward;
+use super::roster::Guarded;
 
 /// One such thread.
 #[derive(Debug)]
@@ -55,19 +55,19 @@ impl Strangers {
     /// Names of threads that the component's own code started: they have the name of its thread, as new
     /// threads do, or appeared during one of its entries. A thread from before the component was made is not
     /// its own: it may be of a removed component with the same name.
-    pub(crate) fn left_behind(&self, ward: &Ward) -> Vec<String> {
-        self.of(ward).map(|thread| thread.name.clone()).collect()
+    pub(crate) fn left_behind(&self, guarded: &Guarded) -> Vec<String> {
+        self.of(guarded).map(|thread| thread.name.clone()).collect()
     }
 
     /// Tells whether a thread that `stop` should have ended still runs, as far as known: threads started by
     /// `create` or `configure` may be for `destroy` to end.
-    pub(crate) fn outlast_stop(&self, ward: &Ward) -> bool {
-        self.of(ward).any(|thread| !ward.instance.threads.lasts(thread.tid))
+    pub(crate) fn outlast_stop(&self, guarded: &Guarded) -> bool {
+        self.of(guarded).any(|thread| !guarded.instance.threads.lasts(thread.tid))
     }
 
-    fn of(&self, ward: &Ward) -> impl Iterator<Item = &Stranger> {
-        let (own, executor) = (ward.executor.name.as_str(), ward.executor.tid());
-        let (noted, made) = (ward.instance.threads.noted(), ward.instance.threads.made());
+    fn of(&self, guarded: &Guarded) -> impl Iterator<Item = &Stranger> {
+        let (own, executor) = (guarded.executor.name.as_str(), guarded.executor.tid());
+        let (noted, made) = (guarded.instance.threads.noted(), guarded.instance.threads.made());
         let is_own = move |thread: &Stranger| {
             // A thread without a name of its own belongs to the component whose name it has.
             let born = noted.get(&thread.tid) == Some(&thread.name) && !self.executors.contains(&thread.name);

@@ -14,13 +14,13 @@ use trocar_rt::{house, os};
 
 use super::super::context;
 use super::super::hub::Hub;
-use super::charge::Charge;
 use super::descriptors;
 use super::home;
 use super::hygiene::Premises;
 use super::last;
 use super::lateness::Lateness;
-use super::roster::{Roster, Ward};
+use super::observed::Observed;
+use super::roster::{Guarded, Roster};
 use super::strangers::Strangers;
 
 /// Shortest and longest time between two looks, ns; between these limits it is the shortest period of a
@@ -85,7 +85,7 @@ fn keep_looking(hub: &Hub, roster: &Roster, stop: &AtomicBool) {
 /// Knowledge of the watchdog from its earlier looks.
 #[derive(Default)]
 struct Rounds {
-    charges: Vec<Charge>,
+    all_observed: Vec<Observed>,
     edition: u64,
     late: Lateness,
     priority: u8,
@@ -103,8 +103,8 @@ impl Rounds {
             }
             let now_ns = os::now_ns();
             self.late.look(next_ns, now_ns);
-            if let Some(wards) = roster.news(&mut self.edition) {
-                self.take(wards);
+            if let Some(all_guarded) = roster.news(&mut self.edition) {
+                self.take(all_guarded);
             }
             self.look(now_ns);
             self.look_around(hub, now_ns, roster);
@@ -116,51 +116,55 @@ impl Rounds {
     /// others.
     fn look(&mut self, now_ns: u64) {
         let late = self.late;
-        let stuck: Vec<Option<String>> = self.charges.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
+        let stuck: Vec<Option<String>> =
+            self.all_observed.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
         let holders: Vec<usize> = (0..stuck.len()).filter(|at| stuck[*at].is_some()).collect();
         for (at, why) in stuck.into_iter().enumerate() {
             let why = why.or_else(|| {
-                let held = holders.iter().filter_map(|by| self.charges[*by].holds(&self.charges[at]));
+                let held =
+                    holders.iter().filter_map(|by| self.all_observed[*by].holds(&self.all_observed[at]));
                 // If one is inside another, the innermost came in last.
                 held.max_by_key(|(since_ns, _)| *since_ns).map(|(_, why)| why)
             });
-            self.charges[at].look(now_ns, why);
+            self.all_observed[at].look(now_ns, why);
         }
     }
 
     /// Looks at the process and its threads, which components should leave as they were.
     fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
-        let wards: Vec<&Ward> = self.charges.iter().map(|c| &c.ward).collect();
-        if let Some(why) = descriptors::look(hub, &wards, &mut self.turns) {
+        let all_guarded: Vec<&Guarded> = self.all_observed.iter().map(|c| &c.guarded).collect();
+        if let Some(why) = descriptors::look(hub, &all_guarded, &mut self.turns) {
             last::cannot_go_on(hub, why);
         }
-        let counts: Vec<(u64, u64)> = self.charges.iter().map(Charge::counts).collect();
-        let busy = || -> Vec<&Ward> {
-            let those = |is: fn(&Charge) -> bool| self.charges.iter().filter(move |c| is(c)).map(|c| &c.ward);
-            let commanded: Vec<&Ward> = those(Charge::commanded).collect();
-            if commanded.is_empty() { those(Charge::entered).collect() } else { commanded }
+        let counts: Vec<(u64, u64)> = self.all_observed.iter().map(Observed::counts).collect();
+        let busy = || -> Vec<&Guarded> {
+            let those = |is: fn(&Observed) -> bool| {
+                self.all_observed.iter().filter(move |c| is(c)).map(|c| &c.guarded)
+            };
+            let commanded: Vec<&Guarded> = those(Observed::commanded).collect();
+            if commanded.is_empty() { those(Observed::entered).collect() } else { commanded }
         };
-        let settled = self.premises.look(now_ns, &wards, || roster.has_only(&wards), busy);
+        let settled = self.premises.look(now_ns, &all_guarded, || roster.has_only(&all_guarded), busy);
         // One look serves all components that have come to rest; if there are none, it costs nothing.
         let strangers = OnceCell::new();
-        for (charge, counts) in self.charges.iter_mut().zip(counts) {
-            charge.look_behind(now_ns, || strangers.get_or_init(Strangers::look));
+        for (observed, counts) in self.all_observed.iter_mut().zip(counts) {
+            observed.look_behind(now_ns, || strangers.get_or_init(Strangers::look));
             // Components that may have made an unsettled change stay noted.
             if settled {
-                charge.note(counts);
+                observed.note(counts);
             }
         }
     }
 
     /// Takes another list of components; keeps the knowledge about those that stay.
-    fn take(&mut self, wards: Vec<Ward>) {
-        let before = std::mem::take(&mut self.charges).into_iter();
-        let mut before: HashMap<u32, Charge> = before.map(|c| (c.ward.instance.number, c)).collect();
-        self.charges = wards
+    fn take(&mut self, all_guarded: Vec<Guarded>) {
+        let before = std::mem::take(&mut self.all_observed).into_iter();
+        let mut before: HashMap<u32, Observed> = before.map(|c| (c.guarded.instance.number, c)).collect();
+        self.all_observed = all_guarded
             .into_iter()
-            .map(|ward| match before.remove(&ward.instance.number) {
-                Some(charge) => charge.on(ward),
-                None => Charge::new(ward),
+            .map(|guarded| match before.remove(&guarded.instance.number) {
+                Some(observed) => observed.on(guarded),
+                None => Observed::new(guarded),
             })
             .collect();
         self.rise();
@@ -168,7 +172,8 @@ impl Rounds {
 
     /// Raises its priority above the highest real-time priority of a component, where the machine allows it.
     fn rise(&mut self) {
-        let highest = self.charges.iter().map(|c| c.ward.executor.settings.priority()).max().unwrap_or(0);
+        let highest =
+            self.all_observed.iter().map(|c| c.guarded.executor.settings.priority()).max().unwrap_or(0);
         if highest == 0 || highest < self.priority {
             return;
         }
@@ -180,11 +185,11 @@ impl Rounds {
 
     /// Time of the next look, ns.
     fn next_ns(&self, now_ns: u64) -> u64 {
-        let running = self.charges.iter().map(|c| &c.ward.instance).filter(|i| i.is_active());
+        let running = self.all_observed.iter().map(|c| &c.guarded.instance).filter(|i| i.is_active());
         let shortest = running.map(|i| i.pace_ns()).min().unwrap_or(LOOK_NS.1);
-        let crowd_ns = self.charges.len() as u64 * LOOK_EACH_NS;
+        let crowd_ns = self.all_observed.len() as u64 * LOOK_EACH_NS;
         let pause_ns = shortest.clamp(LOOK_NS.0, LOOK_NS.1).max(crowd_ns);
-        let ends = self.charges.iter().filter_map(|c| c.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
+        let ends = self.all_observed.iter().filter_map(|c| c.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
         ends.max(now_ns + SOONEST_NS.max(crowd_ns)).min(now_ns + pause_ns)
     }
 }

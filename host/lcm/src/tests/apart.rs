@@ -7,7 +7,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use trocar_lcm_api::{ClassOf, FarEnd};
+use trocar_lcm_api::{ClassOf, RemoteEnd};
 use trocar_plugin_api::abi::{EXECUTED, FAILED, Outcome, PEER_LOST, Tick, UNBOUND, WOULD_BLOCK};
 use trocar_rt::os;
 
@@ -43,7 +43,7 @@ impl Pair {
         };
         let ends = [(&self.right, client, &self.left), (&self.left, server, &self.right)];
         for (at, class, other) in ends {
-            let end = FarEnd {
+            let end = RemoteEnd {
                 connection: connection.clone(),
                 ports: Arc::new(class.ports.clone()),
                 class: ClassOf { name: class.full_name(), hash: class.hash.clone() },

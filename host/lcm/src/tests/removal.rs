@@ -138,8 +138,8 @@ async fn what_an_instance_owes_ends_with_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
     let world = World::new("rm_threads");
-    let brood = Arc::new(Brood::default());
-    world.create("c", periodic(1000), brood.clone()).await;
+    let children = Arc::new(Children::default());
+    world.create("c", periodic(1000), children.clone()).await;
     world.start("c").await;
     assert_eq!(world.lcm.retired(), 0);
     let gone = Arc::downgrade(&world.lcm.instance(&world.id("c")).unwrap());
@@ -147,33 +147,33 @@ async fn threads_that_outlive_their_component_keep_what_the_host_gave_it() {
     assert!(report.warnings.iter().any(|w| w.contains("of its own threads still run")), "{report:?}");
     assert!(gone.upgrade().is_some());
     assert_eq!(world.lcm.retired(), 1);
-    assert!(!brood.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
-    brood.child.lock().unwrap().take();
+    assert!(!children.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
+    children.child.lock().unwrap().take();
     world.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn threads_that_outlive_a_reset_keep_the_instance_that_was() {
     let world = World::new("rm_reset");
-    let brood = Arc::new(Brood::default());
-    world.create("c", periodic(1000), brood.clone()).await;
+    let children = Arc::new(Children::default());
+    world.create("c", periodic(1000), children.clone()).await;
     world.start("c").await;
     world.run("c", Verb::Stop).await.unwrap();
     let report = world.run("c", Verb::Reset).await.unwrap();
-    assert!(!brood.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
+    assert!(!children.destroyed.load(Ordering::SeqCst), "its threads use an instance that is not there");
     assert!(report.warnings.iter().any(|w| w.contains("threads of its own still run")), "{report:?}");
-    brood.child.lock().unwrap().take();
+    children.child.lock().unwrap().take();
     world.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_thread_of_configure_may_be_ended_by_destroy() {
     let world = World::new("rm_early");
-    let brood = Arc::new(Brood { early: true, ..Brood::default() });
-    world.create("c", periodic(1000), brood.clone()).await;
+    let children = Arc::new(Children { early: true, ..Children::default() });
+    world.create("c", periodic(1000), children.clone()).await;
     world.start("c").await;
     world.apply(destroy(&world, "c")).await.unwrap();
-    assert!(brood.destroyed.load(Ordering::SeqCst));
+    assert!(children.destroyed.load(Ordering::SeqCst));
     assert_eq!(world.lcm.retired(), 0);
     world.end().await;
 }
@@ -258,14 +258,14 @@ async fn handles_that_code_keeps_when_its_component_is_gone_are_refused_counted_
 
 /// Starts a thread and leaves it running until the test lets go.
 #[derive(Default)]
-struct Brood {
+struct Children {
     child: std::sync::Mutex<Option<std::sync::mpsc::Sender<()>>>,
     /// True to start the thread in `configure`: then it may live until `destroy`.
     early: bool,
     destroyed: std::sync::atomic::AtomicBool,
 }
 
-impl Behaviour for Brood {
+impl Behaviour for Children {
     fn configure(&self, _: &str) -> Result<(), String> {
         if self.early { self.raise() } else { Ok(()) }
     }
@@ -278,7 +278,7 @@ impl Behaviour for Brood {
     }
 }
 
-impl Brood {
+impl Children {
     fn raise(&self) -> Result<(), String> {
         let (end, ended) = std::sync::mpsc::channel::<()>();
         std::thread::spawn(move || ended.recv());

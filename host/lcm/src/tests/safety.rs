@@ -89,11 +89,11 @@ fn queued(world: &World, name: &str) -> u64 {
 async fn an_actuator_whose_thread_is_held_by_another_is_given_up_as_one_that_hangs_itself() {
     let world = World::new("f_held");
     let (head, open) = Gate::at("step");
-    let [near, far] = [Arc::new(Arm::default()), Arc::new(Arm::default())];
+    let [near, remote] = [Arc::new(Arm::default()), Arc::new(Arm::default())];
     world.create("head", periodic(1000), head).await;
     let inside = |how| inside(how, &world.id("head"));
     world.create_as("near", arm_class(true), inside(ExecutionModel::ExecOut), near.clone()).await;
-    world.create_as("far", arm_class(false), inside(ExecutionModel::ExecIn), far.clone()).await;
+    world.create_as("far", arm_class(false), inside(ExecutionModel::ExecIn), remote.clone()).await;
     let broken = Arc::new(Arm { fails: true, ..Arm::default() });
     world.create_as("broken", arm_class(true), inside(ExecutionModel::ExecOut), broken).await;
     let watcher = Arc::new(Arm::default());
@@ -106,14 +106,15 @@ async fn an_actuator_whose_thread_is_held_by_another_is_given_up_as_one_that_han
         assert_eq!(report.fault, "its thread is held by f_held/head inside its step");
     }
     eventually("made safe from another thread", || near.made_safe() == 1).await;
-    assert_eq!(far.made_safe(), 0, "nobody but its own thread may");
+    assert_eq!(remote.made_safe(), 0, "nobody but its own thread may");
     let said = "make_safe from another thread: the brake does not close";
     let report = world.eventually("a word about it", "broken", |r| r.fault.ends_with(said)).await;
     assert!(report.warnings.contains(&said.to_owned()), "{report:?}");
     let report = world.eventually("UNRESPONSIVE", "watcher", |r| r.health == Health::Unresponsive).await;
     assert_eq!((report.state, watcher.made_safe()), (State::Active, 0));
     open.send(()).unwrap();
-    eventually("made safe once the thread is back", || near.made_safe() == 2 && far.made_safe() == 1).await;
+    eventually("made safe once the thread is back", || near.made_safe() == 2 && remote.made_safe() == 1)
+        .await;
     world.eventually("OK", "watcher", |r| r.health == Health::Ok).await;
     assert_eq!(world.report("near").await.state, State::Fault, "it waits for Reset");
     world.end().await;
@@ -123,10 +124,10 @@ async fn an_actuator_whose_thread_is_held_by_another_is_given_up_as_one_that_han
 async fn actuators_of_a_thread_that_broke_down_are_made_safe_on_it_and_nobody_waits_for_it() {
     let world = World::new("f_broke");
     let mut news = world.lcm.news();
-    let [near, far] = [Arc::new(Arm { panics: true, ..Arm::default() }), Arc::new(Arm::default())];
+    let [near, remote] = [Arc::new(Arm { panics: true, ..Arm::default() }), Arc::new(Arm::default())];
     world.create_as("near", arm_class(false), periodic(1000), near.clone()).await;
     let inside = inside(ExecutionModel::ExecOut, &world.id("near"));
-    world.create_as("far", arm_class(false), inside, far.clone()).await;
+    world.create_as("far", arm_class(false), inside, remote.clone()).await;
     for name in ["far", "near"] {
         world.start(name).await;
     }
@@ -137,7 +138,7 @@ async fn actuators_of_a_thread_that_broke_down_are_made_safe_on_it_and_nobody_wa
         let why = format!("the thread {} of the host broke down: as no job should", executor.name);
         assert!(report.fault.starts_with(&why), "{report:?}");
     }
-    eventually("made safe", || near.made_safe() == 1 && far.made_safe() == 1).await;
+    eventually("made safe", || near.made_safe() == 1 && remote.made_safe() == 1).await;
     // A program that embeds the host goes on, and is told.
     let told = loop {
         if let News::Warnings(told) = news.recv().await.unwrap() {

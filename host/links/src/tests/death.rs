@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 
 use rustix::process::{Pid, Resource, Rlimit, Signal};
 use trocar_rt::pulse::Life;
-use trocar_rt::will::Will;
+use trocar_rt::robust_words::RobustWords;
 
 use super::*;
 use crate::asked::{Ask, Shared};
@@ -124,8 +124,8 @@ fn lives(pulse: Pulse) -> impl FnOnce() {
     let (ready, is_ready) = channel();
     let (go, gone) = channel::<()>();
     let thread = std::thread::spawn(move || {
-        let mut will = ManuallyDrop::new(Will::of_this_thread().unwrap());
-        will.add(&pulse).unwrap();
+        let mut robust_words = ManuallyDrop::new(RobustWords::of_this_thread().unwrap());
+        robust_words.add(&pulse).unwrap();
         ready.send(()).unwrap();
         let _ = gone.recv();
     });

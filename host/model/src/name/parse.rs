@@ -33,7 +33,7 @@ impl ComponentId {
     ///
     /// # Errors
     /// [`Refusal::BadPath`]: that process would have too long a name.
-    pub fn apart(&self) -> Result<ComponentId, Refusal> {
+    pub fn isolated(&self) -> Result<ComponentId, Refusal> {
         let process = Name::parse(&format!("{}.{}", self.process, self.component))?;
         Ok(ComponentId { process, component: self.component.clone() })
     }

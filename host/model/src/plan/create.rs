@@ -65,7 +65,7 @@ impl Planner {
     }
 
     /// Creates in a process that is there as soon as the plan is carried out, with the classes of `home`.
-    pub(super) fn create_apart(
+    pub(super) fn create_isolated(
         &mut self,
         id: &ComponentId,
         home: &Name,

@@ -95,8 +95,8 @@ impl Planner {
             Request::Create { id, class, config, execution } => {
                 self.create(id, class, config.as_ref(), execution)
             }
-            Request::CreateApart { id, home, class, config, execution } => {
-                self.create_apart(id, home, class, config.as_ref(), execution)
+            Request::CreateIsolated { id, home, class, config, execution } => {
+                self.create_isolated(id, home, class, config.as_ref(), execution)
             }
             Request::Remove { id, force } => self.remove(id, *force),
             Request::Forget { process } => self.forget(process),

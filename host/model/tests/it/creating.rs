@@ -224,10 +224,10 @@ fn a_set_is_planned_whole_or_not_at_all() {
     assert_eq!(plan_all(&graph, &set).unwrap_err().reason(), "COMPONENT_NOT_FOUND");
 }
 
-fn apart(path: &str, class: &str) -> Request {
+fn isolated(path: &str, class: &str) -> Request {
     let (written, class, execution) = (id(path), class.to_owned(), Execution::default());
-    Request::CreateApart {
-        id: written.apart().unwrap(),
+    Request::CreateIsolated {
+        id: written.isolated().unwrap(),
         home: written.process,
         class,
         config: None,
@@ -238,7 +238,7 @@ fn apart(path: &str, class: &str) -> Request {
 #[test]
 fn an_isolated_component_is_planned_in_a_process_that_is_not_there_yet() {
     let graph = empty();
-    let requests = [apart("host/robot", "eyerobot"), create("host/robot", "eyerobot")];
+    let requests = [isolated("host/robot", "eyerobot"), create("host/robot", "eyerobot")];
     let plan = plan_all(&graph, &requests).unwrap();
     let made: Vec<String> = plan
         .changes
@@ -260,16 +260,16 @@ fn an_isolated_component_is_planned_in_a_process_that_is_not_there_yet() {
 fn an_isolated_component_is_refused_for_what_it_would_be_refused_beside_its_process() {
     let mut graph = empty();
     done(&mut graph, &[create("host/robot", "eyerobot")]);
-    assert_eq!(refused(&graph, &apart("host/robot", "eyerobot")).reason(), "COMPONENT_EXISTS");
-    assert_eq!(refused(&graph, &apart("hots/x", "eyerobot")).reason(), "PROCESS_NOT_FOUND");
-    let refusal = refused(&graph, &apart("host/x", "eyerobt"));
+    assert_eq!(refused(&graph, &isolated("host/robot", "eyerobot")).reason(), "COMPONENT_EXISTS");
+    assert_eq!(refused(&graph, &isolated("hots/x", "eyerobot")).reason(), "PROCESS_NOT_FOUND");
+    let refusal = refused(&graph, &isolated("host/x", "eyerobt"));
     assert!(refusal.to_string().contains("did you mean `eyerobot`?"), "{refusal}");
     let taken = graph.processes[&name("gui")].clone();
     graph.processes.insert(name("host.x"), taken);
-    assert_eq!(refused(&graph, &apart("host/x", "eyerobot")).reason(), "PROCESS_EXISTS");
+    assert_eq!(refused(&graph, &isolated("host/x", "eyerobot")).reason(), "PROCESS_EXISTS");
     graph.processes.get_mut(&name("host")).unwrap().state = ProcessState::Restarting;
-    let refusal = refused(&graph, &apart("host/y", "eyerobot"));
+    let refusal = refused(&graph, &isolated("host/y", "eyerobot"));
     assert!(refusal.to_string().contains("is being restarted"), "{refusal}");
-    let long = id(&format!("host/{}", "x".repeat(60))).apart().unwrap_err();
+    let long = id(&format!("host/{}", "x".repeat(60))).isolated().unwrap_err();
     assert!(long.to_string().contains("at most 63"), "{long}");
 }

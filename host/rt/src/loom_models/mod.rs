@@ -6,9 +6,9 @@
 #![allow(clippy::unwrap_used)]
 
 mod calls;
-mod far;
 mod mailbox;
 mod pool;
+mod remote;
 mod stream;
 mod team;
 mod turn;

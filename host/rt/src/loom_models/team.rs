@@ -35,7 +35,7 @@ fn loom_a_team_of_three_is_done_when_it_says_so() {
     a_team_is_done_when_it_says_so(1, 3, 1);
 }
 
-/// A caller that comes while a job is at work runs alone; one that comes after it finds the desk as if it
+/// A caller that comes while a job is at work runs alone; one that comes after it finds the team as if it
 /// were new.
 #[test]
 fn loom_two_callers_of_a_team_keep_out_of_each_others_way() {

@@ -9,13 +9,13 @@
 use std::sync::Arc;
 
 use super::file::PoolFile;
-use super::views::FarViews;
+use super::views::RemoteViews;
 use crate::buf::{ALIGN, AlignedBuf, copy, round_up};
 use crate::region::Table;
 use crate::sync::{AtomicU32, AtomicU64, Ordering};
 
 pub(super) struct Borrowed {
-    views: Arc<FarViews>,
+    views: Arc<RemoteViews>,
     at: Box<[At]>,
     /// Headers by lease.
     headers: AlignedBuf,
@@ -32,7 +32,7 @@ struct At {
 }
 
 impl Borrowed {
-    pub(super) fn new(leases: u32, returned: Table<AtomicU64>, views: &Arc<FarViews>) -> Self {
+    pub(super) fn new(leases: u32, returned: Table<AtomicU64>, views: &Arc<RemoteViews>) -> Self {
         let header_stride = round_up(views.header_bytes(), ALIGN);
         Self {
             views: Arc::clone(views),

@@ -15,8 +15,8 @@ use std::sync::Arc;
 pub use file::{PoolFile, PoolShape};
 pub use frame::{Frame, FrameMut};
 pub use slots::PoolStats;
-pub use views::FarViews;
 pub(crate) use views::MOST_VIEWS;
+pub use views::RemoteViews;
 
 pub use crate::mapping::room_for;
 use crate::os::OsError;
@@ -55,7 +55,7 @@ impl FramePool {
     }
 
     /// Makes room for frames of another process, one for each number under which it can lend one.
-    pub(crate) fn borrowed(leases: u32, returned: Table<AtomicU64>, views: &Arc<FarViews>) -> Arc<Self> {
+    pub(crate) fn borrowed(leases: u32, returned: Table<AtomicU64>, views: &Arc<RemoteViews>) -> Arc<Self> {
         let store = Store::Borrowed(Borrowed::new(leases, returned, views));
         Arc::new(Self { slots: Slots::new(leases), store })
     }

@@ -11,12 +11,12 @@ pub(crate) const MOST_VIEWS: usize = 16;
 
 /// The pools of another process, as the reader finds frames in them. A manager makes the entries; none is
 /// ever changed.
-pub struct FarViews {
+pub struct RemoteViews {
     header_bytes: usize,
     views: [OnceLock<Arc<PoolFile>>; MOST_VIEWS],
 }
 
-impl FarViews {
+impl RemoteViews {
     /// For frames with headers of this length.
     pub fn new(header_bytes: usize) -> Arc<Self> {
         Arc::new(Self { header_bytes, views: Default::default() })

@@ -4,29 +4,29 @@
 //! dropped: with nothing queued, `pushed = taken + dropped`. A slot has one owner at any time: writer, queue
 //! or reader; its index moves between them by one atomic operation.
 
-mod far;
 mod fifo;
 mod here;
 mod latest;
 mod leases;
 mod reader;
+mod remote;
 mod slots;
 mod writer;
 
 use std::sync::Arc;
 
-pub use far::{FarPools, POOLS_PER_LINK};
 pub use reader::{Sample, StreamReader};
+pub use remote::{POOLS_PER_LINK, RemotePools};
 pub use writer::{Pushed, StreamWriter};
 
-pub use crate::pool::FarViews;
+pub use crate::pool::RemoteViews;
 
 use crate::region::{Layout, Place, Plain, told};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, Padded};
-use far::{Arriving, Lending};
 use fifo::Fifo;
 use here::Here;
 use latest::Latest;
+use remote::{Arriving, Lending};
 use slots::Slots;
 
 /// Kind of the samples of a link.
@@ -108,13 +108,13 @@ pub fn stream_link(payload: Payload, queue: Queue) -> (StreamWriter, StreamReade
     (StreamWriter::new(Arc::clone(&link), None), StreamReader::new(link, None))
 }
 
-/// Makes the output's end of a link whose other end is in another process; the parts are what [`far_reader`]
+/// Makes the output's end of a link whose other end is in another process; the parts are what [`remote_reader`]
 /// lays out.
-pub fn far_writer(
+pub fn remote_writer(
     layout: &mut Layout,
     payload: Payload,
     queue: Queue,
-    pools: &Arc<FarPools>,
+    pools: &Arc<RemotePools>,
 ) -> StreamWriter {
     let link = Link::lay_out(layout, payload, queue, None);
     let lending = (payload == Payload::Frame).then(|| Lending::lay_out(layout, link.places(), pools));
@@ -122,11 +122,11 @@ pub fn far_writer(
 }
 
 /// The input's end of a link whose other end is in another process.
-pub fn far_reader(
+pub fn remote_reader(
     layout: &mut Layout,
     payload: Payload,
     queue: Queue,
-    views: &Arc<FarViews>,
+    views: &Arc<RemoteViews>,
 ) -> StreamReader {
     let link = Link::lay_out(layout, payload, queue, None);
     let arriving = match payload {

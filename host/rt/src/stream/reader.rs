@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::far::{Admitted, Arriving};
+use super::remote::{Admitted, Arriving};
 use super::slots::Slots;
 use super::{Link, Meta, Order, StreamCounters, StreamStats, fifo, latest, tally};
 use crate::pool::Frame;

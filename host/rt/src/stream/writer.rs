@@ -6,9 +6,9 @@
 
 use std::sync::Arc;
 
-use super::far::Lending;
 use super::fifo::{Fifo, Writing};
 use super::leases::Leases;
+use super::remote::Lending;
 use super::slots::{Located, Slots};
 use super::{
     DropPolicy, Link, Meta, Order, Payload, StreamCounters, StreamStats, count, fifo, latest, tally,

@@ -7,7 +7,8 @@ use trocar_rt::mailbox::Mailbox;
 use trocar_rt::region::Layout;
 use trocar_rt::reply::ReplyPool;
 use trocar_rt::stream::{
-    DropPolicy, FarPools, FarViews, Payload, Queue, StreamReader, StreamWriter, far_reader, far_writer,
+    DropPolicy, Payload, Queue, RemotePools, RemoteViews, StreamReader, StreamWriter, remote_reader,
+    remote_writer,
 };
 use trocar_rt::wake::Waker;
 
@@ -25,20 +26,20 @@ fn calls(layout: &mut Layout) -> (Mailbox, Arc<ReplyPool>, Waker) {
 pub(crate) fn writing(
     layout: &mut Layout,
     queue: Queue,
-    pools: &Arc<FarPools>,
+    pools: &Arc<RemotePools>,
 ) -> (Mailbox, Arc<ReplyPool>, Waker, StreamWriter, StreamWriter) {
     let (mail, replies, bell) = calls(layout);
-    let plain = far_writer(layout, PLAIN, queue, pools);
-    (mail, replies, bell, plain, far_writer(layout, Payload::Frame, queue, pools))
+    let plain = remote_writer(layout, PLAIN, queue, pools);
+    (mail, replies, bell, plain, remote_writer(layout, Payload::Frame, queue, pools))
 }
 
 /// The end that reads them.
 pub(crate) fn reading(
     layout: &mut Layout,
     queue: Queue,
-    views: &Arc<FarViews>,
+    views: &Arc<RemoteViews>,
 ) -> (Mailbox, Arc<ReplyPool>, Waker, StreamReader, StreamReader) {
     let (mail, replies, bell) = calls(layout);
-    let plain = far_reader(layout, PLAIN, queue, views);
-    (mail, replies, bell, plain, far_reader(layout, Payload::Frame, queue, views))
+    let plain = remote_reader(layout, PLAIN, queue, views);
+    (mail, replies, bell, plain, remote_reader(layout, Payload::Frame, queue, views))
 }

@@ -19,7 +19,7 @@ use trocar_proto::v1::{self, attach_request, attach_response, news};
 
 use crate::control::convert;
 use crate::lcm::{
-    Detail, FarEnd, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, Reply, Report, Sample,
+    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, RemoteEnd, Reply, Report, Sample,
     Selection, When,
 };
 
@@ -255,9 +255,9 @@ impl Lcm for RemoteLcm {
         }
     }
 
-    async fn link(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
+    async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
         let what = format!("connecting {} to {}", end.connection.client, end.connection.server);
-        match self.ask(O::Link(convert::far_out(&end)), deadline, &what).await? {
+        match self.ask(O::Link(convert::remote_out(&end)), deadline, &what).await? {
             A::Report(report) => convert::report_in(report),
             _ => wrong(),
         }

@@ -18,7 +18,7 @@ use super::back::{self, unreadable};
 use super::requests::{execution, options};
 use super::types::{class, execution_out, health, options_out, ports, state};
 use crate::gcm::Slice;
-use crate::lcm::{ClassOf, FarEnd, Inventory, Report};
+use crate::lcm::{ClassOf, Inventory, RemoteEnd, Report};
 
 fn state_out(s: State) -> v1::State {
     let (state, stop_reason) = state(s);
@@ -190,7 +190,7 @@ fn card_in(card: v1::Card) -> Card {
     }
 }
 
-pub(crate) fn far_out(end: &FarEnd) -> v1::LinkOrder {
+pub(crate) fn remote_out(end: &RemoteEnd) -> v1::LinkOrder {
     v1::LinkOrder {
         connection: Some(connection_out(&end.connection)),
         ports: Some(super::ports(&end.ports)),
@@ -200,8 +200,8 @@ pub(crate) fn far_out(end: &FarEnd) -> v1::LinkOrder {
     }
 }
 
-pub(crate) fn far_in(end: v1::LinkOrder) -> Result<FarEnd, Refusal> {
-    Ok(FarEnd {
+pub(crate) fn remote_in(end: v1::LinkOrder) -> Result<RemoteEnd, Refusal> {
+    Ok(RemoteEnd {
         connection: connection_in(end.connection.ok_or_else(|| unreadable("connection"))?)?,
         ports: Arc::new(back::ports(end.ports.ok_or_else(|| unreadable("ports"))?)?),
         class: ClassOf { name: end.class, hash: end.class_hash },

@@ -15,8 +15,8 @@ pub(super) use answers::{
 };
 pub(super) use back::unreadable;
 pub(super) use change::{
-    change_in, change_out, classes_in, far_in, far_out, inventory_in, inventory_out, phases_in, phases_out,
-    report_in, slice_in, slice_out, steps_in, steps_out,
+    change_in, change_out, classes_in, inventory_in, inventory_out, phases_in, phases_out, remote_in,
+    remote_out, report_in, slice_in, slice_out, steps_in, steps_out,
 };
 pub(super) use graph::{Figures, component, connection, list, process, report, supervisor, told, wanted};
 pub(super) use json::duration_ns;

@@ -47,7 +47,9 @@ pub(crate) fn create(r: v1::CreateRequest) -> Result<Request, Refusal> {
     let (class, config) = (r.class, r.config.map(from_struct));
     match r.isolation.as_str() {
         "" => Ok(Request::Create { id, class, config, execution }),
-        "process" => Ok(Request::CreateApart { id: id.apart()?, home: id.process, class, config, execution }),
+        "process" => {
+            Ok(Request::CreateIsolated { id: id.isolated()?, home: id.process, class, config, execution })
+        }
         other => {
             let why = format!(
                 "isolation \"{}\" is unknown: leave it out, or give \"process\" for a process of its own",

@@ -126,8 +126,8 @@ async fn a_port_that_goes_in_an_attached_process_takes_its_connection_with_it() 
 async fn what_a_class_offers_crosses_the_wire_whole() {
     let (s, _lcm, _uplink) = attached().await;
     let graph = s.gcm.graph();
-    let (near, far) = (&graph.processes[&name("host")].classes, &graph.processes[&name("gui")].classes);
-    assert_eq!(near, far);
+    let (near, remote) = (&graph.processes[&name("host")].classes, &graph.processes[&name("gui")].classes);
+    assert_eq!(near, remote);
 }
 
 #[tokio::test]

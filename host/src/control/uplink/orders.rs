@@ -125,7 +125,7 @@ async fn link(
     end: v1::LinkOrder,
     deadline: Instant,
 ) -> Result<v1::ComponentReport, Refusal> {
-    let end = convert::far_in(end)?;
+    let end = convert::remote_in(end)?;
     let connection = end.connection.clone();
     let report = lcm.link(end, deadline).await?;
     let mut told = told.lock();

@@ -30,23 +30,23 @@ fn supervisor(processes: &[&str]) -> Supervisor {
 
 /// A host beside process "far", whose component `b` gives its value to `host/a`; that process is gone.
 async fn lost() -> (Gcm, Arc<FakeLcm>, Registered) {
-    let (gcm, [lcm, _], far) = lost_with().await;
-    (gcm, lcm, far)
+    let (gcm, [lcm, _], remote) = lost_with().await;
+    (gcm, lcm, remote)
 }
 
 /// The same, with what was in the process.
 async fn lost_with() -> (Gcm, [Arc<FakeLcm>; 2], Registered) {
     let (gcm, lcm) = system().await;
     let its = FakeLcm::new("far");
-    let far = register(&gcm, who("far"), its.clone()).await.unwrap();
+    let remote = register(&gcm, who("far"), its.clone()).await.unwrap();
     let connect = Request::Connect {
         client: PortId::parse("host/a/input").unwrap(),
         server: PortId::parse("far/b/value").unwrap(),
         options: ConnectOptions::default(),
     };
     ask(&gcm, vec![create("host/a"), create("far/b"), create("far/c"), connect]).await.unwrap();
-    gcm.lost(&name("far"), far.session);
-    (gcm, [lcm, its], far)
+    gcm.lost(&name("far"), remote.session);
+    (gcm, [lcm, its], remote)
 }
 
 async fn has_cut(lcm: &FakeLcm) {
@@ -167,7 +167,7 @@ async fn obey(gcm: Gcm, mut supervising: Supervising, comes_back: bool) {
 
 #[tokio::test]
 async fn a_process_is_started_again_by_who_keeps_it_and_by_nobody_else() {
-    let (gcm, _lcm, far) = lost().await;
+    let (gcm, _lcm, remote) = lost().await;
     gcm.told(&told(Fate::Failed, 3));
     let deadline = || Instant::now() + Duration::from_secs(60);
     let refused = gcm.restart(&name("far"), deadline()).await.unwrap_err();
@@ -176,7 +176,7 @@ async fn a_process_is_started_again_by_who_keeps_it_and_by_nobody_else() {
     assert_eq!(other.next().await, Wanted::default());
     tokio::spawn(obey(gcm.clone(), gcm.supervise(supervisor(&["far"])), true));
     let graph = gcm.restart(&name("far"), deadline()).await.unwrap();
-    assert!(graph.processes[&name("far")].epoch > far.epoch);
+    assert!(graph.processes[&name("far")].epoch > remote.epoch);
     assert_eq!(graph.processes[&name("far")].state, ProcessState::Attached);
     let mut late = gcm.supervise(supervisor(&["far"]));
     assert_eq!(late.next().await, Wanted::default(), "what was asked before it was there is not asked of it");
@@ -196,7 +196,7 @@ async fn one_that_fails_again_says_how_it_ended() {
 
 #[tokio::test]
 async fn a_reset_of_a_component_brings_its_failed_process_back() {
-    let (gcm, _lcm, far) = lost().await;
+    let (gcm, _lcm, remote) = lost().await;
     gcm.told(&told(Fate::Failed, 3));
     let reset = Request::Reset { targets: vec![Target::parse("far/c").unwrap()] };
     let refused = ask(&gcm, vec![reset.clone()]).await.unwrap_err();
@@ -204,6 +204,6 @@ async fn a_reset_of_a_component_brings_its_failed_process_back() {
     tokio::spawn(obey(gcm.clone(), gcm.supervise(supervisor(&["far"])), true));
     ask(&gcm, vec![reset]).await.unwrap();
     let graph = gcm.graph();
-    assert!(graph.processes[&name("far")].epoch > far.epoch);
+    assert!(graph.processes[&name("far")].epoch > remote.epoch);
     assert_eq!(component(&graph, "far/c").state, State::Ready);
 }

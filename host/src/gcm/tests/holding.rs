@@ -59,15 +59,15 @@ async fn a_component_that_cannot_be_removed_at_once_is_removed_when_it_can_be() 
 /// A GCM that was started again hears of its processes one by one, and the holder may be gone before that.
 #[tokio::test]
 async fn a_component_of_a_process_that_is_not_known_yet_is_removed_when_that_has_come() {
-    let far = || Registration::new(name("far"), "127.0.0.1:2".into());
+    let remote = || Registration::new(name("far"), "127.0.0.1:2".into());
     let (earlier, its) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("far"));
-    register(&earlier, far(), its.clone()).await.unwrap();
+    register(&earlier, remote(), its.clone()).await.unwrap();
     ask(&earlier, vec![create("far/rec")]).await.unwrap();
     let components = earlier.graph().components.clone().into_iter().collect();
 
     let (gcm, _lcm) = system().await;
     let ending = tokio::spawn(hold(&gcm, "far/rec").end());
-    let back = Registration { slice: Slice { components, ..Slice::default() }, ..far() };
+    let back = Registration { slice: Slice { components, ..Slice::default() }, ..remote() };
     register(&gcm, back, its.clone()).await.unwrap();
     comes("it is removed", ending).await.unwrap();
     assert!(gcm.graph().components.is_empty());

@@ -112,11 +112,20 @@ fn newest(lab: &Lab) -> Sample {
 fn newest_over_grpc(lab: &Lab) {
     lab.invoke("server/ctl/write", Some(json!(50.0)), false).unwrap_or_else(|refusal| panic!("{refusal}"));
     let before = newest(lab);
-    let far = read(lab, None).unwrap_or_else(|status| panic!("{status}"));
+    let remote = read(lab, None).unwrap_or_else(|status| panic!("{status}"));
     let after = newest(lab);
-    assert!((before.seq..=after.seq).contains(&far.seq), "{} … {} … {}", before.seq, far.seq, after.seq);
-    assert!((before.stamp_ns..=after.stamp_ns).contains(&far.stamp_ns), "{before:?} … {far:?} … {after:?}");
-    assert_eq!(far.encoded.len(), before.encoded.len());
+    assert!(
+        (before.seq..=after.seq).contains(&remote.seq),
+        "{} … {} … {}",
+        before.seq,
+        remote.seq,
+        after.seq
+    );
+    assert!(
+        (before.stamp_ns..=after.stamp_ns).contains(&remote.stamp_ns),
+        "{before:?} … {remote:?} … {after:?}"
+    );
+    assert_eq!(remote.encoded.len(), before.encoded.len());
     let refused = read(lab, Some(Row::Tick(before.seq + u64::from(u32::MAX)))).expect_err("there is none");
     assert_eq!(refused.code(), tonic::Code::InvalidArgument, "{refused}");
 }
@@ -142,17 +151,17 @@ pub fn rows_are_the_same_over_grpc(way: &Way) {
         // What is newest may change in between: whoever heard of the last write may still step.
         eventually("the server rests", || {
             let before = near();
-            let far = read(&lab, row).unwrap_or_else(|status| panic!("{when:?}: {status}"));
-            let far = (far.encoded, far.stamp_ns, far.seq);
+            let remote = read(&lab, row).unwrap_or_else(|status| panic!("{when:?}: {status}"));
+            let remote = (remote.encoded, remote.stamp_ns, remote.seq);
             if before != near() {
-                return Err(format!("{far:?}"));
+                return Err(format!("{remote:?}"));
             }
-            assert_eq!(far, before, "{when:?}");
+            assert_eq!(remote, before, "{when:?}");
             Ok(())
         });
     }
-    let far = read(&lab, Some(Row::AtNs(stamp_ns))).unwrap_or_else(|status| panic!("{status}"));
-    assert_eq!((far.stamp_ns, expected), (stamp_ns, 30.0));
+    let remote = read(&lab, Some(Row::AtNs(stamp_ns))).unwrap_or_else(|status| panic!("{status}"));
+    assert_eq!((remote.stamp_ns, expected), (stamp_ns, 30.0));
     let refused = read(&lab, Some(Row::Tick(u64::MAX))).expect_err("there is none");
     assert_eq!(refused.code(), tonic::Code::InvalidArgument, "{refused}");
     assert!(refused.message().contains("not there yet"), "{refused}");

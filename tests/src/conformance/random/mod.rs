@@ -22,7 +22,7 @@ pub enum Servers {
     /// In the clients' process.
     Near,
     /// In another one; whoever shares the thread of one of them is there, too.
-    Far,
+    Remote,
 }
 
 /// Plays these seeds, shared out among processes, or only the one of `TROCAR_SEED`, here. `test`: the full
@@ -61,7 +61,7 @@ pub fn interleave(
 fn interleave_here(languages: Languages, servers: Servers, seeds: impl IntoIterator<Item = u64>) {
     let lab = match servers {
         Servers::Near => Lab::new(languages),
-        Servers::Far => Lab::parted(languages),
+        Servers::Remote => Lab::parted(languages),
     };
     lab.open_gate();
     let memory = shared_memory();

@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use trocar_model::{Arg, CommandKind, Field, Overflow, Prim, Provided, Safety, StructType, Type};
 use trocar_plugin_api::abi::{ClassTable, EXECUTED, FAILED, STATUS_FAILED, STATUS_OK, Status};
 use trocar_rt::region::Layout;
-use trocar_rt::segment::{Agreed, CallShape, FarCalls, Rows, ServedCalls};
+use trocar_rt::segment::{Agreed, CallShape, RemoteCalls, Rows, ServedCalls};
 use trocar_rt::state::StateWriter;
 
 use super::super::fake::class;
@@ -177,7 +177,7 @@ impl Scene {
             own_reads: 4,
         };
         let numbers = ServedCalls::create(&shape, AGREED).unwrap();
-        let there = FarCalls::open(file(numbers.fd()), &shape, AGREED).unwrap();
+        let there = RemoteCalls::open(file(numbers.fd()), &shape, AGREED).unwrap();
         let seen = OwnRows::new(&own, seen.end, panics.clone());
         Scene { own, panics, rows, numbers, seen, theirs: there.own_reads }
     }

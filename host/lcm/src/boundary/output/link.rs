@@ -12,8 +12,8 @@ use trocar_rt::wake::Waker;
 
 use super::super::super::core::Core;
 use super::super::super::{context, pending};
+use super::super::deferred::{self, DeferredLink};
 use super::super::inside::runs_kept;
-use super::super::late::{self, LateLink};
 use super::super::told;
 
 /// Connection number of readers from outside.
@@ -36,7 +36,7 @@ pub(crate) enum Consumer {
     Here(Arc<Core>, Option<Arc<AtomicU64>>),
     /// A component of another process; likewise, and the place for the number of the first sample it is
     /// offered.
-    Far { bell: Arc<Waker>, newest_ns: Option<Word>, first: Arc<AtomicU64> },
+    Remote { bell: Arc<Waker>, newest_ns: Option<Word>, first: Arc<AtomicU64> },
     /// A reader outside, which polls.
     Outside,
 }
@@ -66,7 +66,7 @@ impl OutLink {
     pub(super) fn push(&self, value: &[u8], meta: Meta) {
         if self.is_watched() {
             // SAFETY: this link stands behind the output, which was looked at in this turn, if there is one.
-            if runs_kept() && unsafe { late::sample(self, value, meta) } {
+            if runs_kept() && unsafe { deferred::sample(self, value, meta) } {
                 return;
             }
             pending::publish();
@@ -79,7 +79,7 @@ impl OutLink {
         if self.is_watched() {
             if runs_kept() {
                 // SAFETY: as in `push`.
-                match unsafe { late::frame(self, frame, meta) } {
+                match unsafe { deferred::frame(self, frame, meta) } {
                     None => return,
                     Some(given_back) => frame = given_back,
                 }
@@ -99,7 +99,7 @@ impl OutLink {
 
     /// Takes back frames that a reader in another process has released.
     pub(super) fn collect(&self) {
-        if let Consumer::Far { .. } = self.consumer {
+        if let Consumer::Remote { .. } = self.consumer {
             self.writer.collect();
         }
     }
@@ -113,7 +113,7 @@ impl OutLink {
     /// Notes the number of the first sample for another process, before that sample is counted.
     #[inline(always)]
     fn begin(&self, seq: u64) {
-        if let Consumer::Far { first, .. } = &self.consumer
+        if let Consumer::Remote { first, .. } = &self.consumer
             && first.load(Ordering::Relaxed) == 0
         {
             first.store(seq, Ordering::Relaxed);
@@ -150,7 +150,7 @@ impl OutLink {
                 }
                 Self::tell_of_sample(consumer);
             }
-            Consumer::Far { bell, newest_ns, .. } => {
+            Consumer::Remote { bell, newest_ns, .. } => {
                 if let Some(newest_ns) = newest_ns {
                     newest_ns.set(came_ns);
                 }
@@ -161,7 +161,7 @@ impl OutLink {
     }
 }
 
-impl LateLink for OutLink {
+impl DeferredLink for OutLink {
     /// Pushes the frame now, to any kind of reader.
     #[inline]
     fn push_frame_now(&self, frame: Frame, meta: Meta) {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Ports, Safety, State};
 use trocar_rt::os;
 
-use super::super::Ward;
+use super::super::Guarded;
 use super::{Found, ROUND_NS, Round, Visits, blocked, look_at_directory, mask};
 use crate::boundary::fake::{Behaviour, FakeClasses, behave, class};
 use crate::watchdog::Watchdog;
@@ -52,7 +52,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
     lcm.apply(Change::Create { id: id.clone(), component: idle() }, Instant::now() + PATIENCE).await.unwrap();
     let instance = lcm.instance(&id).unwrap();
     let executor = lcm.executor_of(&instance).unwrap();
-    let ward = Ward::new(instance, executor.clone());
+    let guarded = Guarded::new(instance, executor.clone());
     let own = executor.settings.hygiene().unwrap().sigmask;
     // Twice: a request that was done can be made again.
     for _ in 0..2 {
@@ -66,7 +66,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         });
         told.recv().unwrap();
         // The watchdog looks as well, whenever it comes to it.
-        (0..100).for_each(|_| _ = mask(&[&ward]));
+        (0..100).for_each(|_| _ = mask(&[&guarded]));
         assert_eq!(executor.waiting(), 1, "every look has left a job");
         go.send(()).unwrap();
         let mut watchdog = Watchdog::of("the mask is put back");
@@ -89,7 +89,7 @@ async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
         allow_exec: false,
     };
     let lcm = LocalLcm::new(config).unwrap();
-    let mut wards = Vec::new();
+    let mut all_guarded = Vec::new();
     for number in 0..7 {
         let id = ComponentId::parse(&format!("hy_round/c{number}")).unwrap();
         behave(&id.to_string(), Arc::new(Idle));
@@ -98,15 +98,15 @@ async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
             .unwrap();
         let instance = lcm.instance(&id).unwrap();
         let executor = lcm.executor_of(&instance).unwrap();
-        wards.push(Ward::new(instance, executor));
+        all_guarded.push(Guarded::new(instance, executor));
     }
-    let wards: Vec<&Ward> = wards.iter().collect();
+    let all_guarded: Vec<&Guarded> = all_guarded.iter().collect();
     let mut round = Round { last_ns: ROUND_NS, last: 0 };
     let mut seen: BTreeMap<u64, u64> = BTreeMap::new();
     for look in 0..200 {
-        let due = round.due(2 * ROUND_NS + look * ROUND_NS / 100, &wards);
+        let due = round.due(2 * ROUND_NS + look * ROUND_NS / 100, &all_guarded);
         assert!(look == 0 || due.len() <= 1, "{} in one look", due.len());
-        due.iter().flatten().for_each(|ward| *seen.entry(ward.executor.id).or_default() += 1);
+        due.iter().flatten().for_each(|guarded| *seen.entry(guarded.executor.id).or_default() += 1);
     }
     assert_eq!(seen.len(), 7, "{seen:?}");
     assert!(seen.values().all(|times| (2..=3).contains(times)), "one and two rounds after: {seen:?}");

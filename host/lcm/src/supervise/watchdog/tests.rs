@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use trocar_model::{Change, Component, ComponentId, Execution, Health, Name, Ports, Safety, State, Verb};
 
-use super::super::charge::LEAVE_NS;
 use super::super::lateness::WAKING_NS;
+use super::super::observed::LEAVE_NS;
 use super::super::strangers::lists;
 use super::*;
 use crate::boundary::fake::{Behaviour, FakeClasses, behave, class};
@@ -71,7 +71,7 @@ async fn stopped(process: &str, count: usize) -> (Arc<LocalLcm>, Roster) {
         }
         let instance = lcm.instance(&id).unwrap();
         let executor = lcm.executor_of(&instance).unwrap();
-        roster.add(Ward::new(instance, executor));
+        roster.add(Guarded::new(instance, executor));
     }
     (lcm, roster)
 }
@@ -82,7 +82,7 @@ async fn threads_are_listed_once_for_all_that_come_to_rest_and_not_once_for_each
         let (lcm, roster) = stopped(process, count).await;
         let mut rounds = Rounds::default();
         rounds.take(roster.all());
-        let hub = rounds.charges[0].ward.instance.hub.clone();
+        let hub = rounds.all_observed[0].guarded.instance.hub.clone();
         let seen_ns = os::now_ns();
         let mut listed = |now_ns: u64| {
             let before = lists();

@@ -47,7 +47,7 @@ pub(crate) trait Asking: Send + Sync {
 }
 
 /// A server in another process, as its client sees it.
-pub(crate) struct FarServer {
+pub(crate) struct RemoteServer {
     pub(crate) commands: Mailbox,
     pub(crate) replies: Arc<ReplyPool>,
     /// State of the server, as its process publishes it.
@@ -56,14 +56,14 @@ pub(crate) struct FarServer {
     lost: AtomicBool,
 }
 
-impl FarServer {
+impl RemoteServer {
     pub(crate) fn new(
         commands: Mailbox,
         replies: Arc<ReplyPool>,
         standing: Word,
         bell: Arc<Waker>,
-    ) -> Arc<FarServer> {
-        Arc::new(FarServer { commands, replies, standing, bell, lost: AtomicBool::new(false) })
+    ) -> Arc<RemoteServer> {
+        Arc::new(RemoteServer { commands, replies, standing, bell, lost: AtomicBool::new(false) })
     }
 
     /// Marks the server's process, or the connection, as gone: callers that wait for it are answered. Any
@@ -74,7 +74,7 @@ impl FarServer {
     }
 }
 
-impl Destination for FarServer {
+impl Destination for RemoteServer {
     fn mailbox(&self) -> &Mailbox {
         &self.commands
     }
@@ -120,14 +120,14 @@ fn would_block() -> Outcome {
 }
 
 /// A command of a server in another process.
-pub(crate) struct FarCommand {
-    pub(crate) server: Arc<FarServer>,
+pub(crate) struct RemoteCommand {
+    pub(crate) server: Arc<RemoteServer>,
     pub(crate) lane: Lane,
     pub(crate) range: Option<RangeCheck>,
     pub(crate) deadline_ns: u64,
 }
 
-impl FarCommand {
+impl RemoteCommand {
     #[inline(never)]
     pub(super) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
         let mode = opts.as_ref().map_or(MODE_SEND, |o| o.mode);
@@ -147,9 +147,9 @@ impl FarCommand {
 }
 
 /// Source of a read's results.
-pub(crate) enum FarSource {
+pub(crate) enum RemoteSource {
     /// Tables that the server's process writes at every publication.
-    Table(FarTable),
+    Table(RemoteTable),
     /// The server's rows, read by the code of its class here; its process is asked where that does not work.
     Here(OwnRead, Arc<dyn Asking>),
     /// The server's process, which has to be asked.
@@ -157,7 +157,7 @@ pub(crate) enum FarSource {
 }
 
 /// Results of a read without an argument; the tick of a row is the outcome.
-pub(crate) struct FarTable {
+pub(crate) struct RemoteTable {
     pub(crate) results: StateReader,
     /// Sentences of failed reads; the tick of a row is the length.
     pub(crate) whys: StateReader,
@@ -165,7 +165,7 @@ pub(crate) struct FarTable {
     pub(crate) status: bool,
 }
 
-impl FarTable {
+impl RemoteTable {
     /// Outcome and stamp. Real-time.
     fn latest(&self, place: &mut [u8], err: *mut ErrBuf) -> (Outcome, u64) {
         let Some(row) = self.results.latest(place) else { return (NOT_ACTIVE, 0) };
@@ -196,18 +196,18 @@ impl FarTable {
 }
 
 /// A read of a server in another process.
-pub(crate) struct FarRead {
-    pub(crate) server: Arc<FarServer>,
+pub(crate) struct RemoteRead {
+    pub(crate) server: Arc<RemoteServer>,
     /// Position among the functions of the connection.
     pub(crate) index: u32,
-    pub(crate) source: FarSource,
+    pub(crate) source: RemoteSource,
     pub(crate) arg_bytes: usize,
     pub(crate) ret_bytes: usize,
     pub(crate) range: Option<RangeCheck>,
     pub(crate) deadline_ns: u64,
 }
 
-impl FarRead {
+impl RemoteRead {
     #[inline(never)]
     pub(super) fn call(&self, arg: *const u8, ret: *mut u8, opts: Option<&mut CallOpts>) -> Outcome {
         if unfit(arg, self.arg_bytes, self.range.as_ref()) || lacks(ret, self.ret_bytes) {
@@ -225,12 +225,12 @@ impl FarRead {
         };
         let err = opts.as_ref().map_or(std::ptr::null_mut(), |o| o.err);
         let (outcome, stamp_ns) = match &self.source {
-            FarSource::Table(table) => table.latest(place(self.ret_bytes), err),
-            FarSource::Here(read, asking) => match read.call(arg, ret, err) {
+            RemoteSource::Table(table) => table.latest(place(self.ret_bytes), err),
+            RemoteSource::Here(read, asking) => match read.call(arg, ret, err) {
                 Some(answered) => answered,
                 None => self.ask(&**asking, arg, place(self.ret_bytes), opts.as_deref()),
             },
-            FarSource::Ask(asking) => self.ask(&**asking, arg, place(self.ret_bytes), opts.as_deref()),
+            RemoteSource::Ask(asking) => self.ask(&**asking, arg, place(self.ret_bytes), opts.as_deref()),
         };
         if let Some(opts) = opts {
             opts.stamp_ns = stamp_ns;

@@ -28,18 +28,18 @@ const LEFT_FREE: u64 = 2;
 
 thread_local! {
     static NOTED: Cell<bool> = const { Cell::new(false) };
-    static LATE: RefCell<Option<Late>> = const { RefCell::new(None) };
+    static DEFERRED: RefCell<Option<Deferred>> = const { RefCell::new(None) };
 }
 
 /// A tap whose samples may be deferred.
-pub(crate) trait LateTap {
+pub(crate) trait DeferredTap {
     /// Tells an event or command: the words before its payload, and the kept part of that payload. Any
     /// thread. Real-time.
     fn tell_now(&self, words: [u32; 4], kept: &[u8], stamp_ns: u64);
 }
 
 /// A connection whose samples may be deferred.
-pub(crate) trait LateLink {
+pub(crate) trait DeferredLink {
     /// Pushes the sample now, to any kind of reader.
     fn push_now(&self, value: &[u8], meta: Meta);
 
@@ -48,7 +48,7 @@ pub(crate) trait LateLink {
 }
 
 /// Deferred deliveries of a thread; allocated with the thread, and never larger.
-struct Late {
+struct Deferred {
     all: Vec<What>,
     bytes: Vec<u8>,
 }
@@ -74,18 +74,18 @@ enum What {
     Row(Staying<Core>),
     /// An event or command, with the words before its payload.
     Told {
-        tap: Staying<dyn LateTap>,
+        tap: Staying<dyn DeferredTap>,
         words: [u32; 4],
         payload: Range<usize>,
         stamp_ns: u64,
     },
     Sample {
-        link: Staying<dyn LateLink>,
+        link: Staying<dyn DeferredLink>,
         value: Range<usize>,
         meta: Meta,
     },
     Frame {
-        link: Staying<dyn LateLink>,
+        link: Staying<dyn DeferredLink>,
         frame: Frame,
         meta: Meta,
     },
@@ -96,7 +96,7 @@ pub(crate) fn prepare() {
     // The bytes are written to, so that the memory is there before it is needed.
     let mut bytes = vec![1; ROOM];
     bytes.clear();
-    LATE.set(Some(Late { all: Vec::with_capacity(MOST), bytes }));
+    DEFERRED.set(Some(Deferred { all: Vec::with_capacity(MOST), bytes }));
 }
 
 /// Defers the newest row of a component; false where it has to be told now.
@@ -116,7 +116,7 @@ pub(crate) fn row(core: &Core) -> bool {
 /// In a turn of this thread: `tap` was reached through a binding in that very turn, or belongs to a component
 /// this thread keeps.
 pub(super) unsafe fn told(
-    tap: &(dyn LateTap + 'static),
+    tap: &(dyn DeferredTap + 'static),
     words: [u32; 4],
     payload: &[u8],
     stamp_ns: u64,
@@ -132,7 +132,7 @@ pub(super) unsafe fn told(
 ///
 /// # Safety
 /// In a turn of this thread: `link` was reached through a binding in that very turn.
-pub(super) unsafe fn sample(link: &(dyn LateLink + 'static), value: &[u8], meta: Meta) -> bool {
+pub(super) unsafe fn sample(link: &(dyn DeferredLink + 'static), value: &[u8], meta: Meta) -> bool {
     let later = has_room(value.len());
     if later {
         note(value, |value| What::Sample { link: Staying::new(link), value, meta });
@@ -144,7 +144,7 @@ pub(super) unsafe fn sample(link: &(dyn LateLink + 'static), value: &[u8], meta:
 ///
 /// # Safety
 /// As of [`sample`].
-pub(super) unsafe fn frame(link: &(dyn LateLink + 'static), frame: Frame, meta: Meta) -> Option<Frame> {
+pub(super) unsafe fn frame(link: &(dyn DeferredLink + 'static), frame: Frame, meta: Meta) -> Option<Frame> {
     // A deferred frame leaves slots of the pool free, as a frame in a queue does.
     if !has_room(0) || !frame.pool_has_free(LEFT_FREE) {
         give();
@@ -158,9 +158,10 @@ pub(super) unsafe fn frame(link: &(dyn LateLink + 'static), frame: Frame, meta: 
 /// noted deliveries first where there is no room.
 fn has_room(bytes: usize) -> bool {
     let fits = || {
-        LATE.with_borrow(|late| {
-            let room = |late: &Late| late.all.len() < MOST && ROOM - late.bytes.len() >= bytes;
-            late.as_ref().is_some_and(room)
+        DEFERRED.with_borrow(|deferred| {
+            let room =
+                |deferred: &Deferred| deferred.all.len() < MOST && ROOM - deferred.bytes.len() >= bytes;
+            deferred.as_ref().is_some_and(room)
         })
     };
     if !turn::is_inside() || fits() {
@@ -172,11 +173,11 @@ fn has_room(bytes: usize) -> bool {
 
 /// Notes one delivery, after [`has_room`] returned true.
 fn note(bytes: &[u8], what: impl FnOnce(Range<usize>) -> What) {
-    LATE.with_borrow_mut(|late| {
-        let Some(late) = late else { return };
-        let at = late.bytes.len();
-        late.bytes.extend_from_slice(bytes);
-        late.all.push(what(at..at + bytes.len()));
+    DEFERRED.with_borrow_mut(|deferred| {
+        let Some(deferred) = deferred else { return };
+        let at = deferred.bytes.len();
+        deferred.bytes.extend_from_slice(bytes);
+        deferred.all.push(what(at..at + bytes.len()));
     });
     NOTED.set(true);
 }
@@ -192,12 +193,12 @@ pub(crate) fn give() {
 #[inline(never)]
 fn give_all() {
     // The list is out of reach during delivery: a delivery that comes up meanwhile is made at once.
-    let Some(mut late) = LATE.take() else { return };
+    let Some(mut deferred) = DEFERRED.take() else { return };
     NOTED.set(false);
     pending::publish();
     let stepping = context::stepping();
     context::set_stepping(true);
-    let Late { all, bytes } = &mut late;
+    let Deferred { all, bytes } = &mut deferred;
     for what in all.drain(..) {
         // SAFETY: all of it was noted in this turn: a thread that runs turns comes here before they end,
         // except when one unwinds; that ends its thread, and its notes are dropped unread.
@@ -213,7 +214,7 @@ fn give_all() {
         }
     }
     bytes.clear();
-    LATE.set(Some(late));
+    DEFERRED.set(Some(deferred));
     context::set_stepping(stepping);
     if !stepping {
         told::flush_wakes();

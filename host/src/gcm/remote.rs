@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use trocar_lcm_api::{ClassOf, FarEnd, Report};
+use trocar_lcm_api::{ClassOf, RemoteEnd, Report};
 use trocar_links::Card;
 use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGraph, made_of};
 
@@ -115,7 +115,7 @@ impl Gcm {
     }
 
     /// Returns what the other process has to know of one end.
-    fn end(&self, graph: &SystemGraph, connection: &Connection, end: &PortId) -> Result<FarEnd, Refusal> {
+    fn end(&self, graph: &SystemGraph, connection: &Connection, end: &PortId) -> Result<RemoteEnd, Refusal> {
         let component = graph.component(&end.component)?;
         let class = ClassOf { name: component.class.full_name(), hash: component.class.hash.clone() };
         let mut ports = component.ports.clone();
@@ -126,7 +126,7 @@ impl Gcm {
             let mine = of_inputs.chain(of_outputs).find(|(name, _)| end.port == name.as_str());
             mine.into_iter().for_each(|(_, is)| ty.clone_into(is));
         }
-        Ok(FarEnd {
+        Ok(RemoteEnd {
             connection: connection.clone(),
             ports,
             class,
@@ -178,16 +178,16 @@ pub(super) fn settle(
     let ends_known = |graph: &SystemGraph, c: &Connection| {
         [&c.client, &c.server].iter().all(|end| graph.components.contains_key(&end.component))
     };
-    let far = |c: &&Connection| !c.is_near() && c.ends_in(me);
+    let remote = |c: &&Connection| !c.is_near() && c.ends_in(me);
     let without: Vec<Connection> =
-        graph.connections.values().filter(far).filter(|c| !ends_known(graph, c)).cloned().collect();
+        graph.connections.values().filter(remote).filter(|c| !ends_known(graph, c)).cloned().collect();
     for connection in without {
         graph.connections.remove(&connection.id);
         graph.revision += 1;
         strays.push((other(&connection, me).clone(), connection));
     }
     let mut brought = Vec::new();
-    for connection in who.slice.connections.iter().filter(far) {
+    for connection in who.slice.connections.iter().filter(remote) {
         graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
         let ends = |c: &Connection| {
             c.id == connection.id && c.client == connection.client && c.server == connection.server

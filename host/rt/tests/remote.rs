@@ -12,8 +12,8 @@ use trocar_rt::pool::{FramePool, PoolFile};
 use trocar_rt::region::{Layout, Region};
 use trocar_rt::reply::{Reply, ReplyPool};
 use trocar_rt::stream::{
-    FarPools, FarViews, Meta, POOLS_PER_LINK, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader,
-    far_writer,
+    Meta, POOLS_PER_LINK, Payload, Pushed, Queue, RemotePools, RemoteViews, StreamReader, StreamWriter,
+    remote_reader, remote_writer,
 };
 use trocar_rt::wake::{self, Waker};
 
@@ -32,11 +32,14 @@ fn regions<A>(parts: impl Fn(&mut Layout) -> A) -> (Arc<Region>, Arc<Region>) {
     (here, there)
 }
 
-fn stream(payload: Payload, queue: Queue) -> (StreamWriter, StreamReader, Arc<FarPools>, Arc<FarViews>) {
-    let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+fn stream(
+    payload: Payload,
+    queue: Queue,
+) -> (StreamWriter, StreamReader, Arc<RemotePools>, Arc<RemoteViews>) {
+    let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(8));
     let (writer, reader) = both(
-        |layout| far_writer(layout, payload, queue, &pools),
-        |layout| far_reader(layout, payload, queue, &views),
+        |layout| remote_writer(layout, payload, queue, &pools),
+        |layout| remote_reader(layout, payload, queue, &views),
     );
     (writer, reader, pools, views)
 }
@@ -88,7 +91,7 @@ fn frame(pool: &Arc<FramePool>, tag: u8) -> trocar_rt::Frame {
     writing.freeze(64)
 }
 
-fn tell(pool: &Arc<FramePool>, pools: &FarPools, views: &FarViews, place: usize) {
+fn tell(pool: &Arc<FramePool>, pools: &RemotePools, views: &RemoteViews, place: usize) {
     let file = pool.file().unwrap();
     let theirs = PoolFile::open(file.fd().try_clone_to_owned().unwrap(), file.shape()).unwrap();
     assert!(views.know(place, theirs));
@@ -280,7 +283,7 @@ fn no_bits_in_the_memory_of_a_link_crash_or_hang_an_end() {
     };
     let pool = FramePool::new(8, 8, 64).unwrap();
     for round in 0..300 {
-        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+        let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(8));
         tell(&pool, &pools, &views, 0);
         let queue = QUEUES[round % 3];
         let lay = |layout: &mut Layout| writing(layout, queue, &pools);

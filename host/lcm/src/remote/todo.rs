@@ -1,4 +1,4 @@
-//! The halves of this process, and the tasks of the thread `trocar-far` with them.
+//! The halves of this process, and the tasks of the thread `trocar-remote` with them.
 //!
 //! Invariant: tasks are done in the order in which they came; whoever leaves one never waits for it.
 
@@ -34,7 +34,7 @@ pub(super) enum Todo {
     Stop,
 }
 
-/// Tasks of `trocar-far`. Its bell is also rung by outputs that give frames of a pool the reader does not
+/// Tasks of `trocar-remote`. Its bell is also rung by outputs that give frames of a pool the reader does not
 /// know.
 #[derive(Default)]
 pub(super) struct Todos {

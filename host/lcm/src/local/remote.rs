@@ -1,20 +1,20 @@
 //! Connections with one end in another process.
 //!
-//! Invariant: the half stays in `Far` as long as the GCM wants the connection; the two LCMs alone decide
+//! Invariant: the half stays in `Remote` as long as the GCM wants the connection; the two LCMs alone decide
 //! whether it is linked.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
-use trocar_lcm_api::{ClassOf, FarEnd};
+use trocar_lcm_api::{ClassOf, RemoteEnd};
 use trocar_links::Card;
 use trocar_model::{Connection, Link, Ports, Refusal, bindings, idle_connection};
 
 use super::super::Report;
 use super::super::boundary::OwnClass;
 use super::super::carriers::OneEnd;
-use super::super::ends::{Kin, Role};
+use super::super::ends::{Role, SameClass};
 use super::super::loss::Loss;
 use super::LocalLcm;
 
@@ -27,8 +27,8 @@ impl LocalLcm {
     }
 
     /// Makes the half of a connection that is here, and for a client waits until it is linked.
-    pub(super) async fn link_far(&self, end: FarEnd, deadline: Instant) -> Result<Report, Refusal> {
-        let FarEnd { connection, ports: theirs, class, card } = end;
+    pub(super) async fn link_remote(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
+        let RemoteEnd { connection, ports: theirs, class, card } = end;
         let unreachable = |why: String| Refusal::Unreachable {
             client: connection.client.clone(),
             server: connection.server.clone(),
@@ -54,8 +54,8 @@ impl LocalLcm {
         };
         let (tell, told) = oneshot::channel();
         let (id, tell) = (connection.id.0, (role == Role::Client).then_some(tell));
-        let (ours, here, kin) = (connection.clone(), slot.here(), self.kin(role, class));
-        halves.add(OneEnd { connection: ours, role, here, required, theirs, card, kin }, tell)?;
+        let (ours, here, same_class) = (connection.clone(), slot.here(), self.same_class(role, class));
+        halves.add(OneEnd { connection: ours, role, here, required, theirs, card, same_class }, tell)?;
         if role == Role::Client {
             let until = deadline.checked_sub(WAY).unwrap_or(deadline);
             let linked = match tokio::time::timeout_at(until.into(), told).await {
@@ -64,7 +64,7 @@ impl LocalLcm {
                 Err(_) => Err(halves.why_not(id)),
             };
             if let Err(why) = linked {
-                self.unlink_far(id, Loss::Cut).await;
+                self.unlink_remote(id, Loss::Cut).await;
                 return Err(unreachable(why));
             }
         }
@@ -74,7 +74,7 @@ impl LocalLcm {
     }
 
     /// Way for a client to find the class of its server in this process.
-    fn kin(&self, role: Role, of: ClassOf) -> Kin {
+    fn same_class(&self, role: Role, of: ClassOf) -> SameClass {
         match (role, self.classes.clone()) {
             (Role::Client, Some(classes)) => Box::new(move || {
                 let (info, class) = classes.present(&of.name, &of.hash)?;
@@ -86,7 +86,7 @@ impl LocalLcm {
 
     /// Removes the half of a connection; returns the client's or server's report, `None` when there is no
     /// half.
-    pub(super) async fn unlink_far(&self, connection: u64, how: Loss) -> Option<Report> {
+    pub(super) async fn unlink_remote(&self, connection: u64, how: Loss) -> Option<Report> {
         let (tell, told) = oneshot::channel();
         let has = self.carriers.halves().find(|halves| halves.connections().contains(&connection))?;
         let instance = has.remove(connection, how, tell)?;

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 
 use trocar_rt::os::{Scope, futex_wait_each};
 use trocar_rt::pulse::{Life, Pulse};
-use trocar_rt::will::Will;
+use trocar_rt::robust_words::RobustWords;
 
 /// A page as its maker has it, and as the other end has it.
 fn page() -> (Pulse, Pulse) {
@@ -15,11 +15,11 @@ fn page() -> (Pulse, Pulse) {
     (made, opened)
 }
 
-/// Runs on a thread of its own that ends as a killed one does: its will stands.
-fn dies(does: impl FnOnce(&mut Will) + Send + 'static) {
+/// Runs on a thread of its own that ends as a killed one does: its words stand.
+fn dies(does: impl FnOnce(&mut RobustWords) + Send + 'static) {
     let thread = std::thread::spawn(|| {
-        let mut will = ManuallyDrop::new(Will::of_this_thread().unwrap());
-        does(&mut will);
+        let mut robust_words = ManuallyDrop::new(RobustWords::of_this_thread().unwrap());
+        does(&mut robust_words);
     });
     thread.join().unwrap();
 }
@@ -30,8 +30,8 @@ fn either_end_of_a_page_is_told_that_the_thread_at_the_other_one_died() {
     assert_eq!((made.life(), opened.life()), (Life::Untold, Life::Untold));
     let (first, other) = (made, opened);
     let (tell, told) = std::sync::mpsc::channel();
-    dies(move |will| {
-        will.add(&first).unwrap();
+    dies(move |robust_words| {
+        robust_words.add(&first).unwrap();
         assert!(matches!(other.life(), Life::Lives(_)), "{:?}", other.life());
         assert_eq!(first.life(), Life::Untold, "the word is that of one end");
         tell.send(other).unwrap();
@@ -39,7 +39,7 @@ fn either_end_of_a_page_is_told_that_the_thread_at_the_other_one_died() {
     assert_eq!(told.recv().unwrap().life(), Life::Died);
     let (made, opened) = page();
     let theirs = Pulse::open(opened.fd().unwrap().try_clone_to_owned().unwrap()).unwrap();
-    dies(move |will| will.add(&theirs).unwrap());
+    dies(move |robust_words| robust_words.add(&theirs).unwrap());
     assert_eq!(made.life(), Life::Died);
     assert_eq!(opened.life(), Life::Untold);
 }
@@ -49,12 +49,12 @@ fn of_many_pages_those_are_marked_that_were_not_taken_back_in_whatever_order_tha
     for gone in [vec![], vec![0], vec![3], vec![1, 2], vec![3, 0], vec![2, 1, 0], vec![0, 1, 2, 3]] {
         let (made, opened): (Vec<Pulse>, Vec<Pulse>) = (0..4).map(|_| page()).unzip();
         let takes_back = gone.clone();
-        dies(move |will| {
-            made.iter().for_each(|page| will.add(page).unwrap());
+        dies(move |robust_words| {
+            made.iter().for_each(|page| robust_words.add(page).unwrap());
             for at in takes_back {
-                will.remove(&made[at]);
+                robust_words.remove(&made[at]);
                 // A page that is not there is not taken back again.
-                will.remove(&made[at]);
+                robust_words.remove(&made[at]);
             }
         });
         for (at, page) in opened.iter().enumerate() {
@@ -67,10 +67,10 @@ fn of_many_pages_those_are_marked_that_were_not_taken_back_in_whatever_order_tha
 #[test]
 fn a_will_that_is_dropped_marks_nothing_and_the_next_one_of_that_thread_does() {
     let ((first, seen), (second, seen_too)) = (page(), page());
-    dies(move |will| {
+    dies(move |robust_words| {
         let mut inner = {
-            will.add(&first).unwrap();
-            Will::of_this_thread()
+            robust_words.add(&first).unwrap();
+            RobustWords::of_this_thread()
         };
         assert!(
             inner.as_mut().is_err(),
@@ -79,10 +79,10 @@ fn a_will_that_is_dropped_marks_nothing_and_the_next_one_of_that_thread_does() {
     });
     assert_eq!(seen.life(), Life::Died);
     let thread = std::thread::spawn(move || {
-        let mut will = Will::of_this_thread().unwrap();
-        will.add(&second).unwrap();
-        drop(will);
-        let mut again = Will::of_this_thread().unwrap();
+        let mut robust_words = RobustWords::of_this_thread().unwrap();
+        robust_words.add(&second).unwrap();
+        drop(robust_words);
+        let mut again = RobustWords::of_this_thread().unwrap();
         again.add(&second).unwrap();
         again.remove(&second);
     });
@@ -96,9 +96,9 @@ fn whoever_writes_into_the_word_of_another_process_takes_the_mark_from_itself_on
         let (scribbled, honest) = (page(), page());
         let (mine, theirs) = (scribbled.0, honest.0);
         let (seen, seen_too) = (scribbled.1, honest.1);
-        let told = dies_with(move |will| {
-            will.add(&mine).unwrap();
-            will.add(&theirs).unwrap();
+        let told = dies_with(move |robust_words| {
+            robust_words.add(&mine).unwrap();
+            robust_words.add(&theirs).unwrap();
             seen.life_word().store(nonsense, Ordering::Release);
             seen
         });
@@ -111,9 +111,9 @@ fn whoever_writes_into_the_word_of_another_process_takes_the_mark_from_itself_on
     }
 }
 
-fn dies_with<R: Send + 'static>(does: impl FnOnce(&mut Will) -> R + Send + 'static) -> R {
+fn dies_with<R: Send + 'static>(does: impl FnOnce(&mut RobustWords) -> R + Send + 'static) -> R {
     let (tell, told) = std::sync::mpsc::channel();
-    dies(move |will| tell.send(does(will)).unwrap());
+    dies(move |robust_words| tell.send(does(robust_words)).unwrap());
     told.recv().unwrap()
 }
 
@@ -122,8 +122,8 @@ fn whoever_sleeps_on_the_word_is_woken_by_the_death() {
     let ((_, quiet), (made, seen)) = (page(), page());
     let (go, gone) = std::sync::mpsc::channel::<()>();
     let thread = std::thread::spawn(move || {
-        let mut will = ManuallyDrop::new(Will::of_this_thread().unwrap());
-        will.add(&made).unwrap();
+        let mut robust_words = ManuallyDrop::new(RobustWords::of_this_thread().unwrap());
+        robust_words.add(&made).unwrap();
         // Until it is to end.
         let _ = gone.recv();
     });

@@ -3,13 +3,13 @@
 use std::collections::BTreeSet;
 
 use super::*;
-use crate::gcm::{Apart, Fate, Supervising, Supervisor, Told};
+use crate::gcm::{Fate, Isolated, Supervising, Supervisor, Told};
 
 fn isolated(path: &str) -> Request {
     let written = id(path);
     let (class, execution) = ("arm".to_owned(), Execution::default());
-    Request::CreateApart {
-        id: written.apart().unwrap(),
+    Request::CreateIsolated {
+        id: written.isolated().unwrap(),
         home: written.process,
         class,
         config: None,
@@ -17,14 +17,15 @@ fn isolated(path: &str) -> Request {
     }
 }
 
-fn supervisor(apart: &[(&str, &str)], term: u64) -> Supervisor {
+fn supervisor(isolated: &[(&str, &str)], term: u64) -> Supervisor {
     let processes: BTreeSet<_> = [name("host")].into();
-    let apart = apart.iter().map(|(process, home)| Apart { process: name(process), home: name(home) });
-    Supervisor { processes, apart: apart.collect(), term }
+    let isolated =
+        isolated.iter().map(|(process, home)| Isolated { process: name(process), home: name(home) });
+    Supervisor { processes, isolated: isolated.collect(), term }
 }
 
 async fn wanted(supervising: &mut Supervising) -> Vec<String> {
-    supervising.next().await.apart.iter().map(|apart| apart.process.to_string()).collect()
+    supervising.next().await.isolated.iter().map(|isolated| isolated.process.to_string()).collect()
 }
 
 fn told(fate: Fate, pid: u32) -> Told {
@@ -33,10 +34,10 @@ fn told(fate: Fate, pid: u32) -> Told {
 
 /// Comes up and goes as it is wanted.
 async fn obey(gcm: Gcm, mut supervising: Supervising) {
-    while supervising.next().await.apart.is_empty() {}
+    while supervising.next().await.isolated.is_empty() {}
     let own = Registration { pid: 99, ..Registration::new(name("host.a"), String::new()) };
     register(&gcm, own, FakeLcm::new("host.a")).await.unwrap();
-    while !supervising.next().await.apart.is_empty() {}
+    while !supervising.next().await.isolated.is_empty() {}
     gcm.told(&told(Fate::Dismissed, 99));
 }
 

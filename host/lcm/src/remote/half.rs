@@ -11,7 +11,7 @@ use trocar_links::{Card, Links, Session};
 use trocar_model::{Connection, End, PortId, Ports, Proxy, Refusal};
 
 use super::super::described::PortSet;
-use super::super::ends::{Here, Kin, Role, Tell};
+use super::super::ends::{Here, Role, SameClass, Tell};
 use super::super::loss::Loss;
 use super::super::passage::passing;
 use super::client::ClientWires;
@@ -35,7 +35,7 @@ pub(crate) struct Half {
     /// The process of the other end.
     pub(super) card: Card,
     /// For a client: whether the code of the server's class is here.
-    pub(super) kin: Kin,
+    pub(super) same_class: SameClass,
     stage: Mutex<Stage>,
 }
 
@@ -70,11 +70,11 @@ impl Half {
         (connection, role): (Connection, Role),
         here: Here,
         required: bool,
-        (theirs, card, kin): (Arc<Ports>, Card, Kin),
+        (theirs, card, same_class): (Arc<Ports>, Card, SameClass),
         tell: Option<Tell>,
     ) -> Arc<Half> {
         let stage = Mutex::new(Stage { tell, ..Stage::default() });
-        Arc::new(Half { connection, role, here, required, theirs, card, kin, stage })
+        Arc::new(Half { connection, role, here, required, theirs, card, same_class, stage })
     }
 
     pub(super) fn number(&self) -> u64 {

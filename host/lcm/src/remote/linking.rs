@@ -1,4 +1,4 @@
-//! The thread `trocar-far`: links halves when the other process is there, and removes the links when it is
+//! The thread `trocar-remote`: links halves when the other process is there, and removes the links when it is
 //! not.
 //!
 //! Invariant: a half is linked only over a session with the very run of the process that the GCM named;
@@ -14,18 +14,18 @@ use trocar_lcm_api::HalfReport;
 use trocar_links::{Links, Message, Session};
 use trocar_rt::os;
 use trocar_rt::segment::Agreed;
-use trocar_rt::stream::{FarPools, FarViews};
+use trocar_rt::stream::{RemotePools, RemoteViews};
 
-use super::super::boundary::{FarServer, ReadAnswer};
+use super::super::boundary::{ReadAnswer, RemoteServer};
 use super::super::ends::Role;
 use super::super::loss::Loss;
 use super::asks::Asks;
 use super::client::{ClientWires, Own};
 use super::half::{Half, Linked, Wires};
-use super::kin::{code_of, rows_for};
 use super::pools::{Untold, all_came, map};
+use super::same_class::{code_of, rows_for};
 use super::server::{Offer, ServerWires};
-use super::serving::{Desk, Question};
+use super::serving::{Question, QuestionQueue};
 use super::todo::{Halves, Todo, Todos, all, locked};
 use super::words::{Pool, Words};
 
@@ -39,9 +39,9 @@ const MOST_LENT: usize = 32;
 /// Time a session outlives the last connection that needed it.
 const LINGER: Duration = Duration::from_secs(1);
 /// Time between reports to clients about failed commands that they only sent.
-const TOLL: Duration = Duration::from_secs(1);
+const TELL_FAILURES: Duration = Duration::from_secs(1);
 
-pub(super) struct Worker {
+pub(super) struct Linking {
     links: Arc<Links>,
     halves: Halves,
     todos: Arc<Todos>,
@@ -50,11 +50,11 @@ pub(super) struct Worker {
     /// Epoch of the newest link.
     epoch: u64,
     retried: Instant,
-    tolled: Instant,
+    told_failures: Instant,
     /// Removed links whose readers, over these sessions, still hold frames.
-    lent: Vec<(Arc<Session>, Arc<FarPools>)>,
+    lent: Vec<(Arc<Session>, Arc<RemotePools>)>,
     /// Servers of connections that were cut, over these sessions, while calls in them were under way.
-    leaving: Vec<(Arc<Session>, Weak<FarServer>)>,
+    leaving: Vec<(Arc<Session>, Weak<RemoteServer>)>,
     /// Sockets of processes whose session is no longer needed, and since when: calls under way end first, and
     /// a new connection right after finds the session.
     left: Vec<(PathBuf, Instant)>,
@@ -75,21 +75,21 @@ fn tell_panics(session: &Session, (connection, epoch): (u64, u64), wires: &mut C
     }
 }
 
-impl Worker {
+impl Linking {
     pub(super) fn new(
         links: Arc<Links>,
         halves: Halves,
         todos: Arc<Todos>,
         news: impl Fn(HalfReport) + Send + 'static,
-    ) -> Worker {
-        Worker {
+    ) -> Linking {
+        Linking {
             links,
             halves,
             todos,
             sessions: Vec::new(),
             epoch: 0,
             retried: Instant::now(),
-            tolled: Instant::now(),
+            told_failures: Instant::now(),
             lent: Vec::new(),
             leaving: Vec::new(),
             left: Vec::new(),
@@ -110,7 +110,7 @@ impl Worker {
             }
             self.retry();
             self.look_at_frames();
-            self.tell_tolls();
+            self.tell_failures();
             self.lent.retain(|(session, pools)| !session.is_lost() && !pools.are_back());
             self.leaving.retain(|(_, server)| server.strong_count() > 0);
             self.leave();
@@ -143,8 +143,8 @@ impl Worker {
     fn pause(&self) -> Option<Duration> {
         let pause = |half: Arc<Half>| match (&half.stage().linked, half.role) {
             (Some(Linked { wires: Wires::Server(wires), .. }), _) if wires.lends() => Some(POOLS_LOOK),
-            (Some(Linked { wires: Wires::Server(ServerWires::Calls { .. }), .. }), _) => Some(TOLL),
-            (Some(Linked { wires: Wires::Client(ClientWires::Calls { .. }), .. }), _) => Some(TOLL),
+            (Some(Linked { wires: Wires::Server(ServerWires::Calls { .. }), .. }), _) => Some(TELL_FAILURES),
+            (Some(Linked { wires: Wires::Client(ClientWires::Calls { .. }), .. }), _) => Some(TELL_FAILURES),
             (None, Role::Client) => Some(RETRY),
             _ => None,
         };
@@ -244,7 +244,7 @@ impl Worker {
     }
 
     /// Keeps the frames that the reader of a removed link still holds; only for a limited number of links.
-    fn keep_lent(&mut self, session: Arc<Session>, pools: Arc<FarPools>) {
+    fn keep_lent(&mut self, session: Arc<Session>, pools: Arc<RemotePools>) {
         let same = |(over, _): &(Arc<Session>, _)| Arc::ptr_eq(over, &session);
         if self.lent.iter().filter(|kept| same(kept)).count() >= MOST_LENT
             && let Some(oldest) = self.lent.iter().position(same)
@@ -286,7 +286,7 @@ impl Worker {
             Ok((_, terms)) => terms.hash,
             Err(refusal) => return half.fail(refusal.to_string(), true),
         };
-        let code = (half.kin)().and_then(|own| code_of(&own.info));
+        let code = (half.same_class)().and_then(|own| code_of(&own.info));
         let words = Words::Open { connection: half.number(), hash, code };
         match say(&session, &words, &[], &[]) {
             Ok(()) => half.asked(Some(&session)),
@@ -373,7 +373,7 @@ impl Worker {
                     }
                 });
             }
-            Words::Toll { epoch, failed, unexecuted, .. }
+            Words::Failures { epoch, failed, unexecuted, .. }
                 if half.with_wires(session, epoch, |_| ()).is_some() =>
             {
                 half.pay(failed, unexecuted);
@@ -397,8 +397,8 @@ impl Worker {
                 let until_ns = os::now_ns().saturating_add(left_ns);
                 let question = Question { number, index, until_ns, arg: behind.to_vec() };
                 half.with_wires(session, epoch, |wires| {
-                    if let Wires::Server(ServerWires::Calls { desk, .. }) = wires {
-                        desk.ask(question);
+                    if let Wires::Server(ServerWires::Calls { questions, .. }) = wires {
+                        questions.ask(question);
                     }
                 });
             }
@@ -446,9 +446,11 @@ impl Worker {
         };
         offer.expect_pools(&terms.way, &set);
         let (rows, rows_file) = rows.unzip();
-        let desk = |served| Desk::open(&half.here.instance, session, (connection, epoch), served);
+        let questions =
+            |served| QuestionQueue::open(&half.here.instance, session, (connection, epoch), served);
         let here = (&half.here, &*set);
-        let mut wires = match ServerWires::connect(offer, &terms.way, &half.connection, here, rows, desk) {
+        let mut wires = match ServerWires::connect(offer, &terms.way, &half.connection, here, rows, questions)
+        {
             Ok(wires) => wires,
             Err(e) => return decline(e.to_string()),
         };
@@ -480,13 +482,14 @@ impl Worker {
             let memory = files.next().ok_or("no memory came along")?;
             let own = if rows {
                 let rows = files.next().ok_or("no rows came along")?;
-                let class = (half.kin)().ok_or("it shows rows to this process, which has not their class")?;
+                let class =
+                    (half.same_class)().ok_or("it shows rows to this process, which has not their class")?;
                 Some(Own { class, rows })
             } else {
                 None
             };
             let (set, terms) = half.terms(own.is_some()).map_err(|refusal| refusal.to_string())?;
-            let views = FarViews::new(terms.way.header_bytes());
+            let views = RemoteViews::new(terms.way.header_bytes());
             map(&views, pools, files)?;
             let wires = ClientWires::connect(
                 (memory, Agreed { hash: terms.hash, epoch }),
@@ -562,18 +565,18 @@ impl Worker {
 
     /// Tells clients of commands that they only sent and that failed or never ran here, and servers of their
     /// reads that panicked here.
-    fn tell_tolls(&mut self) {
-        if self.tolled.elapsed() < TOLL {
+    fn tell_failures(&mut self) {
+        if self.told_failures.elapsed() < TELL_FAILURES {
             return;
         }
-        self.tolled = Instant::now();
+        self.told_failures = Instant::now();
         for half in all(&self.halves) {
             let (connection, mut stage) = (half.number(), half.stage());
             let Some(Linked { session, epoch, wires }) = &mut stage.linked else { continue };
             match wires {
                 Wires::Server(wires) => {
-                    if let Some((failed, unexecuted)) = wires.untold_toll() {
-                        let words = Words::Toll { connection, epoch: *epoch, failed, unexecuted };
+                    if let Some((failed, unexecuted)) = wires.untold_failures() {
+                        let words = Words::Failures { connection, epoch: *epoch, failed, unexecuted };
                         let _ = say(session, &words, &[], &[]);
                     }
                 }

@@ -1,7 +1,7 @@
 //! All halves of this process, and the receivers of their news.
 //!
 //! Invariant: a half is in the list from the moment it is added until it is removed; only the thread
-//! `trocar-far` (`worker.rs`) links and unlinks. The thread of the sessions never waits for it.
+//! `trocar-remote` (`linking.rs`) links and unlinks. The thread of the sessions never waits for it.
 
 use std::io;
 use std::path::PathBuf;
@@ -16,11 +16,11 @@ use trocar_rt::house;
 
 use super::super::loss::Loss;
 use super::half::Half;
+use super::linking::Linking;
 use super::todo::{Halves, Todo, Todos, all, locked};
-use super::worker::Worker;
 
 /// All connections of this process to others.
-pub(crate) struct Far {
+pub(crate) struct Remote {
     links: Arc<Links>,
     halves: Halves,
     todos: Arc<Todos>,
@@ -48,7 +48,7 @@ impl Handler for Teller {
     }
 }
 
-impl Far {
+impl Remote {
     /// Listens for other processes at `socket`; `news` gets the state of each half.
     ///
     /// # Errors
@@ -57,15 +57,15 @@ impl Far {
         process: &str,
         socket: PathBuf,
         news: impl Fn(HalfReport) + Send + 'static,
-    ) -> io::Result<Far> {
+    ) -> io::Result<Remote> {
         let halves = Halves::default();
         let todos = Arc::new(Todos::default());
         let teller = Teller { halves: halves.clone(), todos: todos.clone() };
         let links = Arc::new(Links::start(Card::own(process, socket)?, teller)?);
-        let worker = Worker::new(links.clone(), halves.clone(), todos.clone(), news);
+        let linking = Linking::new(links.clone(), halves.clone(), todos.clone(), news);
         let thread =
-            house::spawn(std::thread::Builder::new().name("trocar-far".into()), move || worker.run())?;
-        Ok(Far { links, halves, todos, thread: Mutex::new(Some(thread)) })
+            house::spawn(std::thread::Builder::new().name("trocar-remote".into()), move || linking.run())?;
+        Ok(Remote { links, halves, todos, thread: Mutex::new(Some(thread)) })
     }
 
     /// Data by which other processes reach this one.
@@ -145,7 +145,7 @@ impl Far {
     }
 }
 
-impl Drop for Far {
+impl Drop for Remote {
     fn drop(&mut self) {
         self.stop();
     }

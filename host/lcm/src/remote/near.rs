@@ -14,7 +14,7 @@ use trocar_loader::convert::back;
 use trocar_model::{Binding, Connection, PortType, Ports, Refusal};
 use trocar_rt::pool::PoolFile;
 use trocar_rt::segment::Agreed;
-use trocar_rt::stream::{FarPools, FarViews};
+use trocar_rt::stream::{RemotePools, RemoteViews};
 use trocar_rt::wake::Waker;
 
 use super::super::described::PortSet;
@@ -26,7 +26,7 @@ use super::asks::Asks;
 use super::client::ClientWires;
 use super::missed::Missed;
 use super::server::{Offer, Offered, ServerWires};
-use super::serving::Desk;
+use super::serving::QuestionQueue;
 use super::terms::{Terms, Way, commands};
 
 /// Connections of this kind in one process.
@@ -41,8 +41,8 @@ pub(crate) struct Near {
 
 /// The frames of one stream.
 struct Frames {
-    pools: Arc<FarPools>,
-    views: Arc<FarViews>,
+    pools: Arc<RemotePools>,
+    views: Arc<RemoteViews>,
     reader: Arc<Waker>,
     /// Number of the pools the reader knows.
     known: usize,
@@ -183,8 +183,8 @@ impl Pair {
         let memory = offer.fd()?;
         offer.expect_pools(&way, from);
         let at_server =
-            ServerWires::connect(offer, &way, connection, (server, from), None, |_| Desk::closed())?;
-        let views = FarViews::new(way.header_bytes());
+            ServerWires::connect(offer, &way, connection, (server, from), None, |_| QuestionQueue::closed())?;
+        let views = RemoteViews::new(way.header_bytes());
         let nobody = Asks::of_nobody(connection.id.0, epoch);
         let ports = (&*from.ports, nobody, None);
         let at_client =

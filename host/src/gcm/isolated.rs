@@ -14,7 +14,7 @@ use trocar_model::{
 
 use super::Gcm;
 use super::answer::{ExecuteOptions, Executed};
-use super::isolation::{Apart, Isolation, Wanted};
+use super::isolation::{Isolated, Isolation, Wanted};
 
 /// Longest wait for a process that is not wanted any more: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
@@ -25,7 +25,7 @@ pub struct Supervisor {
     /// The processes beside which it can make others.
     pub processes: BTreeSet<Name>,
     /// Processes it keeps for isolated components.
-    pub apart: Vec<Apart>,
+    pub isolated: Vec<Isolated>,
     /// The GCM that wanted those.
     pub term: u64,
 }
@@ -35,7 +35,7 @@ pub struct Supervising {
     gcm: Gcm,
     number: u64,
     all: watch::Receiver<Isolation>,
-    told: Option<Vec<Apart>>,
+    told: Option<Vec<Isolated>>,
     /// Restarts the supervisor was told, or that were asked before it was there.
     restarted: BTreeMap<Name, u64>,
 }
@@ -50,8 +50,8 @@ impl Supervising {
                 self.restarted.clone_from(all.restarts());
                 orders
             };
-            if self.told.as_ref() != Some(&now.apart) || !now.restart.is_empty() {
-                self.told = Some(now.apart.clone());
+            if self.told.as_ref() != Some(&now.isolated) || !now.restart.is_empty() {
+                self.told = Some(now.isolated.clone());
                 return now;
             }
             // The sender lives as long as the GCM, which this holds.
@@ -75,7 +75,7 @@ impl Gcm {
             number = all.listens(who.processes);
             restarted.clone_from(all.restarts());
             if who.term != self.term() {
-                all.want(who.apart);
+                all.want(who.isolated);
             }
         });
         Supervising {
@@ -88,22 +88,26 @@ impl Gcm {
     }
 
     /// Tells whether supervisors are there that make these.
-    pub(super) fn can_be_made(&self, apart: &[Apart]) -> Result<(), Refusal> {
-        self.inner.isolation.borrow().can_be_made(apart)
+    pub(super) fn can_be_made(&self, isolated: &[Isolated]) -> Result<(), Refusal> {
+        self.inner.isolation.borrow().can_be_made(isolated)
     }
 
     /// Has the processes made, and waits until they are here.
     ///
     /// # Errors
     /// ProcessNotUp, with how it ended; then all of them are to be ended.
-    pub(super) async fn begin_apart(&self, apart: &[Apart], deadline: Instant) -> Result<(), Refusal> {
-        if apart.is_empty() {
+    pub(super) async fn begin_isolated(
+        &self,
+        isolated: &[Isolated],
+        deadline: Instant,
+    ) -> Result<(), Refusal> {
+        if isolated.is_empty() {
             return Ok(());
         }
         let began = Instant::now();
-        self.inner.isolation.send_modify(|all| all.want(apart.iter().cloned()));
+        self.inner.isolation.send_modify(|all| all.want(isolated.iter().cloned()));
         let mut graphs = self.watch();
-        for Apart { process, .. } in apart {
+        for Isolated { process, .. } in isolated {
             let settled = |p: &Process| match p.state {
                 ProcessState::Attached | ProcessState::Failed => true,
                 ProcessState::Lost => !p.last_exit.is_empty(),
@@ -210,7 +214,7 @@ impl Gcm {
     }
 
     /// Takes the processes off the list of wanted ones. Waits until they have gone.
-    pub(super) async fn end_apart(&self, processes: BTreeSet<Name>) {
+    pub(super) async fn end_isolated(&self, processes: BTreeSet<Name>) {
         if processes.is_empty() {
             return;
         }
@@ -246,7 +250,7 @@ impl Gcm {
         if let Some(expected) = options.expected_revision.filter(|expected| *expected != graph.revision) {
             return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
         }
-        self.end_apart([id.process.clone()].into()).await;
+        self.end_isolated([id.process.clone()].into()).await;
         let graph = self.graph();
         match graph.processes.get(&id.process) {
             Some(there) => Err(there.lost(&id.process)),
@@ -275,12 +279,12 @@ impl Gcm {
 }
 
 /// The processes that requests are to make.
-pub(super) fn asked_apart(requests: &[Request]) -> Vec<Apart> {
-    let apart = requests.iter().filter_map(|request| match request {
-        Request::CreateApart { id, home, .. } => {
-            Some(Apart { process: id.process.clone(), home: home.clone() })
+pub(super) fn asked_isolated(requests: &[Request]) -> Vec<Isolated> {
+    let isolated = requests.iter().filter_map(|request| match request {
+        Request::CreateIsolated { id, home, .. } => {
+            Some(Isolated { process: id.process.clone(), home: home.clone() })
         }
         _ => None,
     });
-    apart.collect()
+    isolated.collect()
 }

@@ -11,14 +11,14 @@ use trocar_loader::convert::back;
 use trocar_model::{Binding, Command, Connection, CopyRun, PortType, Ports};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::os;
-use trocar_rt::segment::{Agreed, FarCalls, Rows, Stream, Word};
+use trocar_rt::segment::{Agreed, RemoteCalls, Rows, Stream, Word};
 use trocar_rt::state::StateReader;
-use trocar_rt::stream::{FarViews, StreamCounters, StreamReader};
+use trocar_rt::stream::{RemoteViews, StreamCounters, StreamReader};
 use trocar_rt::wake::Waker;
 
 use super::super::boundary::{
-    DEFAULT_DEADLINE_NS, FarCommand, FarRead, FarServer, FarSource, FarTable, FnBinding, FnCell, InCell,
-    InLink, Newest, OwnClass, OwnRead, OwnRows, Panics, RangeCheck, Shape,
+    DEFAULT_DEADLINE_NS, FnBinding, FnCell, InCell, InLink, Newest, OwnClass, OwnRead, OwnRows, Panics,
+    RangeCheck, RemoteCommand, RemoteRead, RemoteServer, RemoteSource, RemoteTable, Shape,
 };
 use super::super::described::PortSet;
 use super::super::ends::Here;
@@ -36,12 +36,12 @@ pub(super) enum ClientWires {
         stats: StreamCounters,
         depth: usize,
         bell: Arc<Waker>,
-        views: Arc<FarViews>,
+        views: Arc<RemoteViews>,
         bytes: usize,
     },
     Calls {
         functions: Vec<Arc<FnCell>>,
-        server: Arc<FarServer>,
+        server: Arc<RemoteServer>,
         events_in: Arc<Inbox>,
         bell: Arc<Waker>,
         asks: Arc<Asks>,
@@ -74,18 +74,18 @@ where
     P: Iterator<Item = Word>,
 {
     /// The source of the read with this number; its process is asked where there is no other.
-    fn source(&mut self, reading: Reading, id: usize, command: &Command) -> FarSource {
+    fn source(&mut self, reading: Reading, id: usize, command: &Command) -> RemoteSource {
         let (ports, asks) = (self.ports, self.asks);
         let source = match reading {
             Reading::Published => self.tables.next().map(|(results, whys)| {
-                FarSource::Table(FarTable { results, whys, status: is_status(ports, id) })
+                RemoteSource::Table(RemoteTable { results, whys, status: is_status(ports, id) })
             }),
             Reading::Here => self.own.as_ref().zip(self.positions.next()).map(|((rows, class), at)| {
-                FarSource::Here(OwnRead::new(rows, at, command, class, ports), asks.clone())
+                RemoteSource::Here(OwnRead::new(rows, at, command, class, ports), asks.clone())
             }),
             Reading::Asked => None,
         };
-        source.unwrap_or_else(|| FarSource::Ask(asks.clone()))
+        source.unwrap_or_else(|| RemoteSource::Ask(asks.clone()))
     }
 }
 
@@ -100,7 +100,7 @@ impl ClientWires {
         connection: &Connection,
         (here, set): (&Here, &PortSet),
         (server, asks, own): (&Ports, Arc<Asks>, Option<Own>),
-        views: Arc<FarViews>,
+        views: Arc<RemoteViews>,
     ) -> io::Result<ClientWires> {
         match way {
             Way::Stream { input, ty, shape, depth, adapt, .. } => {
@@ -109,7 +109,7 @@ impl ClientWires {
                 Self::read(stream, views, connection, here, (cell, ty, *depth, adapt.clone()))
             }
             Way::Calls { binding, shape } => {
-                let calls = FarCalls::open(memory, shape, agreed)?;
+                let calls = RemoteCalls::open(memory, shape, agreed)?;
                 Self::call(calls, binding, connection, (here, set), (server, asks, own))
             }
         }
@@ -118,7 +118,7 @@ impl ClientWires {
     #[expect(clippy::type_complexity, reason = "the parts of `Way::Stream` a reader needs")]
     fn read(
         stream: Stream<StreamReader>,
-        views: Arc<FarViews>,
+        views: Arc<RemoteViews>,
         connection: &Connection,
         here: &Here,
         (cell, ty, depth, adapt): (Arc<InCell>, &PortType, usize, Option<(Vec<CopyRun>, usize)>),
@@ -128,7 +128,7 @@ impl ClientWires {
             .map_err(io::Error::other)?;
         let stats = stream.end.counters();
         let max_age_ns = connection.options.max_age_ns.unwrap_or(0);
-        let newest = Newest::Far(stream.newest_ns, os::now_ns());
+        let newest = Newest::Remote(stream.newest_ns, os::now_ns());
         let link = Arc::new(InLink::new(stream.end, depth, max_age_ns, newest, back::port(ty).into(), adapt));
         cell.connect(Some(link.clone()));
         here.instance.reclaim();
@@ -137,7 +137,7 @@ impl ClientWires {
     }
 
     fn call(
-        calls: FarCalls,
+        calls: RemoteCalls,
         binding: &Binding,
         connection: &Connection,
         (here, set): (&Here, &PortSet),
@@ -157,14 +157,14 @@ impl ClientWires {
             .handlers
             .iter()
             .map(|(h, _)| Check { bytes: size(handlers[*h].payload.as_ref()), range: None });
-        let events_in = Inbox::far_events(
+        let events_in = Inbox::remote_events(
             calls.events,
             binding.handlers.iter().map(|(h, _)| set.handlers[*h].clone()).collect(),
             here.from(&connection.server.component),
             checks.collect(),
         );
         client.edit_inboxes(|all| all.push(events_in.clone()));
-        let server = FarServer::new(calls.commands, calls.replies, calls.server, calls.for_server);
+        let server = RemoteServer::new(calls.commands, calls.replies, calls.server, calls.for_server);
         let deadline_ns = connection.options.deadline_ns.unwrap_or(DEFAULT_DEADLINE_NS);
         let all = commands(ports);
         let tables = calls.reads.into_iter().zip(calls.whys);
@@ -174,7 +174,7 @@ impl ClientWires {
             let range = command.arg.as_ref().and_then(RangeCheck::of);
             let (server, lane) = (server.clone(), lane(command, index));
             let to = match Reading::of(ports, &all, *id, reads.own.is_some()) {
-                Some(reading) => FnBinding::FarRead(FarRead {
+                Some(reading) => FnBinding::RemoteRead(RemoteRead {
                     server,
                     index: lane.index,
                     source: reads.source(reading, *id, command),
@@ -183,7 +183,7 @@ impl ClientWires {
                     range,
                     deadline_ns,
                 }),
-                None => FnBinding::FarCommand(FarCommand { server, lane, range, deadline_ns }),
+                None => FnBinding::RemoteCommand(RemoteCommand { server, lane, range, deadline_ns }),
             };
             let cell = set.slots.function(*function);
             cell.bind(to, back::command(command));

@@ -11,7 +11,7 @@ use trocar_rt::os;
 use super::super::books::Misuse;
 use super::super::watch::{Busy, Entry, Misdeed};
 use super::lateness::Lateness;
-use super::roster::Ward;
+use super::roster::Guarded;
 use super::safe::give_up;
 use super::strangers::Strangers;
 
@@ -35,8 +35,8 @@ const TELL_NS: u64 = 1_000_000_000;
 const ENTER_NS: u64 = 100_000_000;
 
 /// One watched component, and the watchdog's observations.
-pub(super) struct Charge {
-    pub(super) ward: Ward,
+pub(super) struct Observed {
+    pub(super) guarded: Guarded,
     inside: Option<Inside>,
     overruns: u64,
     overrun_ns: Option<u64>,
@@ -83,11 +83,11 @@ impl Inside {
     }
 }
 
-impl Charge {
-    pub(super) fn new(ward: Ward) -> Charge {
-        let overruns = ward.instance.watch.overruns();
-        Charge {
-            ward,
+impl Observed {
+    pub(super) fn new(guarded: Guarded) -> Observed {
+        let overruns = guarded.instance.watch.overruns();
+        Observed {
+            guarded,
             inside: None,
             overruns,
             overrun_ns: None,
@@ -100,13 +100,13 @@ impl Charge {
     }
 
     /// The same component, perhaps on another thread.
-    pub(super) fn on(self, ward: Ward) -> Charge {
-        Charge { ward, ..self }
+    pub(super) fn on(self, guarded: Guarded) -> Observed {
+        Observed { guarded, ..self }
     }
 
-    /// Entries and commands begun so far, for [`Charge::note`].
+    /// Entries and commands begun so far, for [`Observed::note`].
     pub(super) fn counts(&self) -> (u64, u64) {
-        (self.ward.instance.watch.entries(), self.ward.instance.books.commands())
+        (self.guarded.instance.watch.entries(), self.guarded.instance.books.commands())
     }
 
     /// Notes these counts as looked at. They are counted before the look: an entry that began during it
@@ -117,21 +117,21 @@ impl Charge {
 
     /// Tells whether it ran a command since the last look.
     pub(super) fn commanded(&self) -> bool {
-        self.commands != self.ward.instance.books.commands()
+        self.commands != self.guarded.instance.books.commands()
     }
 
     /// Tells whether a thread was inside since the last look, or is.
     pub(super) fn entered(&self) -> bool {
-        self.entries != self.ward.instance.watch.entries() || self.ward.instance.watch.busy().is_some()
+        self.entries != self.guarded.instance.watch.entries() || self.guarded.instance.watch.busy().is_some()
     }
 
     /// Looks for threads it left behind, a while after it was stopped.
     pub(super) fn look_behind<'a>(&mut self, now_ns: u64, strangers: impl FnOnce() -> &'a Strangers) {
-        if self.ward.instance.is_active() {
+        if self.guarded.instance.is_active() {
             self.rest_ns = None;
             return;
         }
-        let stops = self.ward.instance.watch.stops();
+        let stops = self.guarded.instance.watch.stops();
         if stops != self.stops {
             (self.stops, self.rest_ns) = (stops, Some(now_ns));
         }
@@ -139,9 +139,9 @@ impl Charge {
             return;
         }
         self.rest_ns = None;
-        let left = strangers().left_behind(&self.ward);
+        let left = strangers().left_behind(&self.guarded);
         if !left.is_empty() {
-            self.ward.instance.warn(&format!(
+            self.guarded.instance.warn(&format!(
                 "{} of its own threads still run after it was stopped: {}",
                 left.len(),
                 left.join(", ")
@@ -151,7 +151,7 @@ impl Charge {
 
     /// Updates and reports its health; `stuck`: why it, or its thread, makes no progress.
     pub(super) fn look(&mut self, now_ns: u64, stuck: Option<String>) {
-        let instance = self.ward.instance.clone();
+        let instance = self.guarded.instance.clone();
         let (health, why) = match stuck {
             Some(why) => (Health::Unresponsive, why),
             None => self.health(now_ns),
@@ -167,7 +167,7 @@ impl Charge {
             // In other entries its caller is waiting for it already.
             if instance.is_actuator() && runs {
                 instance.set_state_from(State::Active, State::Fault, &why);
-                give_up(&self.ward);
+                give_up(&self.guarded);
             }
         }
         let misdeeds = instance.watch.take_misdeeds();
@@ -181,19 +181,19 @@ impl Charge {
     /// Makes an actuator safe and stops it when it has lost a required connection, unless it was only
     /// rewired.
     fn mind_peers(&self, now_ns: u64) {
-        let instance = &self.ward.instance;
+        let instance = &self.guarded.instance;
         if !instance.is_actuator() || !instance.is_active() {
             return;
         }
         let missing = instance.missing();
         if missing.iter().any(|(_, lost_ns)| now_ns >= *lost_ns) {
-            lose_peer(&self.ward);
+            lose_peer(&self.guarded);
         }
     }
 
     /// Reports refusals and failures, at most once a second.
     fn tell_misuse(&mut self, now_ns: u64) {
-        let instance = &self.ward.instance;
+        let instance = &self.guarded.instance;
         let (now, (before, told_ns)) = (instance.books.misuses(), self.misuses);
         if now == before || now_ns.saturating_sub(told_ns) < TELL_NS {
             return;
@@ -217,7 +217,7 @@ impl Charge {
 
     /// Reason why it counts as unresponsive, if it does.
     pub(super) fn stuck(&mut self, now_ns: u64, late: Lateness) -> Option<String> {
-        let Some(busy) = self.ward.instance.watch.busy() else {
+        let Some(busy) = self.guarded.instance.watch.busy() else {
             self.inside = None;
             return None;
         };
@@ -226,9 +226,9 @@ impl Charge {
             let late_ns = late.at(since_ns, now_ns);
             self.inside = Some(Inside { busy, since_ns, ends_ns: 0, late_ns, waited_ns: None, ready: None });
         }
-        let tid = self.ward.executor.tid();
+        let tid = self.guarded.executor.tid();
         let inside = self.inside.as_mut()?;
-        let own = self.ward.instance.patience_ns();
+        let own = self.guarded.instance.patience_ns();
         let patience_ns = if busy.entry.runs() { own } else { own.max(LIFECYCLE_NS) };
         let allowed_ns = patience_ns - AHEAD_NS.min(patience_ns / 50);
         let lasted_ns = now_ns.saturating_sub(inside.since_ns);
@@ -239,15 +239,15 @@ impl Charge {
         }
         inside.ends_ns = now_ns.saturating_add(allowed_ns.saturating_sub(counted_ns));
         (counted_ns >= allowed_ns).then(|| {
-            let (inside, allowed) = (inside_of(&self.ward, busy), short(patience_ns));
+            let (inside, allowed) = (inside_of(&self.guarded, busy), short(patience_ns));
             format!("it has not come back out of its {inside}, which may take {allowed}")
         })
     }
 
     /// Reason why `other`, which does not run, waits for this component, and since when this one is inside,
     /// ns: one of its own entries holds the thread both step on.
-    pub(super) fn holds(&self, other: &Charge) -> Option<(u64, String)> {
-        let (instance, waiting) = (&self.ward.instance, &other.ward.instance);
+    pub(super) fn holds(&self, other: &Observed) -> Option<(u64, String)> {
+        let (instance, waiting) = (&self.guarded.instance, &other.guarded.instance);
         let inside = self.inside.as_ref()?;
         let elsewhere = instance.is_passive() || instance.is_called_back();
         let on_thread = !(elsewhere && inside.busy.entry.runs());
@@ -268,13 +268,13 @@ impl Charge {
 
     /// Time at which a step that runs now has taken longer than its period, ns.
     fn overruns_at_ns(&self) -> Option<u64> {
-        let period_ns = self.ward.instance.period_ns();
-        let running = self.ward.instance.watch.busy().filter(|b| b.entry.runs() && b.since_ns > 0)?;
+        let period_ns = self.guarded.instance.period_ns();
+        let running = self.guarded.instance.watch.busy().filter(|b| b.entry.runs() && b.since_ns > 0)?;
         (period_ns > 0).then(|| running.since_ns.saturating_add(period_ns))
     }
 
     fn health(&mut self, now_ns: u64) -> (Health, String) {
-        let instance = &self.ward.instance;
+        let instance = &self.guarded.instance;
         let overruns = instance.watch.overruns();
         // A step that still runs is counted by its own thread when it ends, and shown now.
         if overruns != self.overruns || self.overruns_at_ns().is_some_and(|due| now_ns > due) {
@@ -285,7 +285,7 @@ impl Charge {
             self.overrun_ns = None;
             return (Health::Ok, "it is at rest".into());
         }
-        if let Some(why) = stale(&self.ward, now_ns) {
+        if let Some(why) = stale(&self.guarded, now_ns) {
             return (Health::StaleInput, why);
         }
         match self.overrun_ns {
@@ -299,8 +299,8 @@ impl Charge {
 }
 
 /// Name of the entry a thread is in; of a command with its name.
-fn inside_of(ward: &Ward, busy: Busy) -> String {
-    let (entry, instance) = (busy.entry.name(), &ward.instance);
+fn inside_of(guarded: &Guarded, busy: Busy) -> String {
+    let (entry, instance) = (busy.entry.name(), &guarded.instance);
     if busy.entry != Entry::Command {
         return entry.to_owned();
     }
@@ -317,8 +317,8 @@ fn short(ns: u64) -> String {
 }
 
 /// Names its sources that are silent or gone.
-fn stale(ward: &Ward, now_ns: u64) -> Option<String> {
-    let instance = &ward.instance;
+fn stale(guarded: &Guarded, now_ns: u64) -> Option<String> {
+    let instance = &guarded.instance;
     // An end that is only rewired is not without a source.
     let gone = instance.missing().into_iter().filter(|(_, lost_ns)| now_ns >= *lost_ns);
     let missing: Vec<String> = gone.map(|(port, _)| port).collect();
@@ -330,14 +330,14 @@ fn stale(ward: &Ward, now_ns: u64) -> Option<String> {
 }
 
 /// Lets no step begin any more; its own thread brings it to its safe condition.
-fn lose_peer(ward: &Ward) {
-    let instance = ward.instance.clone();
+fn lose_peer(guarded: &Guarded) {
+    let instance = guarded.instance.clone();
     let lost = State::Stopped(StopReason::PeerLost);
     if !instance.set_state_from(State::Active, lost, "") {
         return;
     }
     instance.say(log::Level::Warn, "it is stopped and made safe: what it requires is gone");
-    ward.executor.submit(move |_| {
+    guarded.executor.submit(move |_| {
         instance.refuse_queued(NOT_ACTIVE);
         match instance.object.enter_until(os::now_ns() + ENTER_NS) {
             Some(mut entered) => {

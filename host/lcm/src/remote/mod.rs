@@ -2,25 +2,25 @@
 //!
 //! One end of such a connection is a [`Half`]: it exists as long as the GCM wants the connection, and is
 //! linked to the other one while both processes live. Invariant: halves are changed by one thread,
-//! `trocar-far`; any thread that notices the loss of a process notes it at once, and `trocar-far` does the
+//! `trocar-remote`; any thread that notices the loss of a process notes it at once, and `trocar-remote` does the
 //! rest.
 
 mod asks;
 mod client;
 mod face;
 mod half;
-mod kin;
+mod linking;
 mod manager;
 mod missed;
 mod near;
 mod pools;
+mod same_class;
 mod server;
 mod serving;
 mod terms;
 mod todo;
 mod words;
-mod worker;
 
 pub(super) use half::{CARRIER as NAME, Half};
-pub(super) use manager::Far;
+pub(super) use manager::Remote;
 pub(super) use near::Near;

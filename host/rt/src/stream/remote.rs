@@ -9,7 +9,7 @@ use std::sync::{Arc, OnceLock};
 use super::leases::{LEASES, Leases, returned};
 use super::slots::{Content, Located};
 use crate::buf::AlignedBuf;
-use crate::pool::{FarViews, Frame, FramePool, MOST_VIEWS};
+use crate::pool::{Frame, FramePool, MOST_VIEWS, RemoteViews};
 use crate::region::Layout;
 use crate::sync::{AtomicBool, AtomicU64, Ordering};
 use crate::wake::Waker;
@@ -24,7 +24,7 @@ pub const POOLS_PER_LINK: usize = MOST_VIEWS;
 /// The pools whose frames this link carries, by their place on it. The writer gives a pool its place with its
 /// first frame; a manager tells the other end, which leaves the frame where it is until then.
 #[derive(Default)]
-pub struct FarPools {
+pub struct RemotePools {
     /// Numbers of pools by their place on the link; 0 = none.
     known: [AtomicU64; POOLS_PER_LINK],
     /// 1 when a frame came of one pool too many, and was not sent.
@@ -36,7 +36,7 @@ pub struct FarPools {
     bell: Option<Arc<Waker>>,
 }
 
-impl FarPools {
+impl RemotePools {
     /// Rings this bell whenever there is a pool to be told of.
     pub fn ringing(bell: Arc<Waker>) -> Arc<Self> {
         Arc::new(Self { bell: Some(bell), ..Self::default() })
@@ -83,7 +83,7 @@ impl FarPools {
         }
     }
 
-    /// As [`FarPools::collect`], of a link on which nothing was sent since the last call: for a thread that
+    /// As [`RemotePools::collect`], of a link on which nothing was sent since the last call: for a thread that
     /// looks now and then.
     pub fn collect_if_idle(&self) {
         if let Some(leases) = self.leases.get() {
@@ -104,11 +104,11 @@ pub(super) struct Lending {
     next: usize,
     /// The lease of the frame in each place.
     places: Box<[Option<u32>]>,
-    pools: Arc<FarPools>,
+    pools: Arc<RemotePools>,
 }
 
 impl Lending {
-    pub(super) fn lay_out(layout: &mut Layout, places: usize, pools: &Arc<FarPools>) -> Self {
+    pub(super) fn lay_out(layout: &mut Layout, places: usize, pools: &Arc<RemotePools>) -> Self {
         let leases = Arc::new(Leases::lay_out(layout));
         // Skipped while only the length is measured.
         if layout.region().is_some() {
@@ -159,7 +159,7 @@ impl Lending {
 /// Way by which samples of another process arrive.
 pub(super) enum Arriving {
     Plain(PrivateCopy),
-    Frames(Arc<FramePool>, Arc<FarViews>),
+    Frames(Arc<FramePool>, Arc<RemoteViews>),
 }
 
 /// Result of a look at a sample of another process.
@@ -176,12 +176,12 @@ impl Arriving {
         Arriving::Plain(PrivateCopy { bytes, copy: AlignedBuf::new(bytes) })
     }
 
-    pub(super) fn frames(layout: &mut Layout, views: &Arc<FarViews>) -> Self {
+    pub(super) fn frames(layout: &mut Layout, views: &Arc<RemoteViews>) -> Self {
         Arriving::Frames(FramePool::borrowed(LEASES as u32, returned(layout), views), Arc::clone(views))
     }
 
     /// Returns the frame of a sample, where its description can be true.
-    pub(super) fn admit(pool: &Arc<FramePool>, views: &FarViews, content: &Content) -> Admitted {
+    pub(super) fn admit(pool: &Arc<FramePool>, views: &RemoteViews, content: &Content) -> Admitted {
         let Located { lease, pool: view, slot, len } = content.frame;
         if views.is_awaited(view) {
             return Admitted::Later;

@@ -13,7 +13,7 @@ use trocar_model::Name;
 use super::System;
 use super::programs::under;
 use crate::session::Session;
-use trocar::gcm::{Apart, Fate, Supervisor, Told};
+use trocar::gcm::{Fate, Isolated, Supervisor, Told};
 use trocar::processes::{Phase, Status};
 
 /// Pause between two attempts to hear a GCM that does not answer.
@@ -24,7 +24,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 struct Wishes {
     /// Term of the GCM that wants them; 0 = none was heard.
     term: u64,
-    wanted: Vec<Apart>,
+    wanted: Vec<Isolated>,
     leaving: BTreeSet<String>,
     /// Processes that have ended, which the GCM is not told yet.
     gone: Vec<Told>,
@@ -47,7 +47,7 @@ impl System {
     /// Follows the GCM's list for as long as the GCM is heard.
     async fn listen(&self, session: &Session, wishes: &mut Wishes) -> Result<(), crate::failure::Failure> {
         let processes = self.hosts.iter().filter_map(|host| Name::parse(&host.name).ok()).collect();
-        let who = Supervisor { processes, apart: wishes.wanted.clone(), term: wishes.term };
+        let who = Supervisor { processes, isolated: wishes.wanted.clone(), term: wishes.term };
         let mut lists = session.supervise(&who).await?;
         let mut statuses = self.supervisor.statuses();
         loop {
@@ -60,7 +60,7 @@ impl System {
             tokio::select! {
                 list = lists.next() => match list? {
                     Some(Ok((term, wanted))) => {
-                        (wishes.term, wishes.wanted) = (term, wanted.apart);
+                        (wishes.term, wishes.wanted) = (term, wanted.isolated);
                         wanted.restart.iter().for_each(|process| self.supervisor.again(process.as_str()));
                     }
                     Some(Err(refusal)) => log::error!("the GCM wants what cannot be: {refusal}"),
@@ -76,9 +76,9 @@ impl System {
 impl Wishes {
     /// Forgets processes that have ended, asks unwanted ones to end, and makes missing ones.
     fn settle(&mut self, system: &System, statuses: &BTreeMap<String, Status>, gcm: &str) {
-        let kept: Vec<String> = system.apart.borrow().keys().cloned().collect();
+        let kept: Vec<String> = system.isolated.borrow().keys().cloned().collect();
         for name in kept {
-            if self.wanted.iter().any(|apart| apart.process.as_str() == name) {
+            if self.wanted.iter().any(|isolated| isolated.process.as_str() == name) {
                 continue;
             }
             if self.leaving.insert(name.clone()) {
@@ -87,23 +87,23 @@ impl Wishes {
             let status = statuses.get(&name).cloned().unwrap_or_default();
             if matches!(status.phase, Phase::Ended | Phase::Failed) {
                 system.supervisor.forget(&name);
-                system.apart.send_modify(|apart| _ = apart.remove(&name));
+                system.isolated.send_modify(|isolated| _ = isolated.remove(&name));
                 self.leaving.remove(&name);
                 self.gone.extend(dismissed(&name, &status));
             }
         }
-        for apart in &self.wanted {
-            let name = apart.process.as_str();
-            if system.apart.borrow().contains_key(name) {
+        for isolated in &self.wanted {
+            let name = isolated.process.as_str();
+            if system.isolated.borrow().contains_key(name) {
                 continue;
             }
-            match system.launch.apart(&apart.process, &apart.home) {
+            match system.launch.isolated(&isolated.process, &isolated.home) {
                 Some(program) => {
                     let program = under(program, gcm);
-                    system.apart.send_modify(|all| _ = all.insert(name.to_owned(), program.clone()));
+                    system.isolated.send_modify(|all| _ = all.insert(name.to_owned(), program.clone()));
                     system.supervisor.start(program);
                 }
-                None => log::error!("process {name} is wanted, and cannot be made like {}", apart.home),
+                None => log::error!("process {name} is wanted, and cannot be made like {}", isolated.home),
             }
         }
     }

@@ -7,7 +7,7 @@ use std::os::fd::OwnedFd;
 
 use trocar_links::Message;
 use trocar_rt::pool::PoolFile;
-use trocar_rt::stream::FarViews;
+use trocar_rt::stream::RemoteViews;
 
 use super::server::ServerWires;
 use super::words::Pool;
@@ -57,7 +57,7 @@ pub(super) fn all_came(message: &Message) -> Result<(), String> {
 
 /// Maps pools of the other process.
 pub(super) fn map(
-    views: &FarViews,
+    views: &RemoteViews,
     pools: &[Pool],
     files: impl IntoIterator<Item = OwnedFd>,
 ) -> Result<(), String> {

@@ -14,24 +14,24 @@ use trocar_model::{Binding, Command, Connection};
 use trocar_plugin_api::abi::PEER_LOST;
 use trocar_rt::segment::{Agreed, ServedCalls, Stream, Word};
 use trocar_rt::state::StateWriter;
-use trocar_rt::stream::{FarPools, StreamCounters, StreamWriter};
+use trocar_rt::stream::{RemotePools, StreamCounters, StreamWriter};
 use trocar_rt::wake::Waker;
 
 use super::super::books::Misuse;
 use super::super::boundary::{
-    Consumer, EventCell, EventSink, FarEvents, FarHandler, OutCell, OutLink, RangeCheck, Shape,
+    Consumer, EventCell, EventSink, OutCell, OutLink, RangeCheck, RemoteEvents, RemoteHandler, Shape,
 };
 use super::super::core::{ShownRows, View};
 use super::super::described::PortSet;
 use super::super::ends::Here;
 use super::super::inbox::{Check, Inbox, Position};
 use super::face::{Face, Shown};
-use super::serving::{Desk, Served};
+use super::serving::{QuestionQueue, Served};
 use super::terms::{Reading, Way, commands, size};
 
 /// The server's memory, before the client has it.
 pub(super) enum Offer {
-    Output { stream: Stream<StreamWriter>, pools: Arc<FarPools> },
+    Output { stream: Stream<StreamWriter>, pools: Arc<RemotePools> },
     Calls(Box<ServedCalls>),
 }
 
@@ -42,20 +42,20 @@ pub(super) enum ServerWires {
         stats: StreamCounters,
         /// Number of the first sample that was offered; 0: none was.
         first: Arc<AtomicU64>,
-        pools: Arc<FarPools>,
+        pools: Arc<RemotePools>,
         /// Number of pools the client was told of.
         told: usize,
         shape: Shape,
     },
     Calls {
         events: Vec<Arc<EventCell>>,
-        to: Arc<FarEvents>,
+        to: Arc<RemoteEvents>,
         commands_in: Arc<Inbox>,
         face: Arc<Face>,
         bell: Arc<Waker>,
-        desk: Desk,
+        questions: QuestionQueue,
         /// Failed commands and commands that never ran, as the client was told.
-        toll: (u64, u64),
+        failures: (u64, u64),
         /// Reads that panicked in the client's process, as that process told.
         panicked: AtomicU64,
     },
@@ -84,7 +84,7 @@ impl Offer {
     pub(super) fn make(way: &Way, agreed: Agreed, bell: &Arc<Waker>) -> io::Result<Offer> {
         Ok(match way {
             Way::Stream { shape, .. } => {
-                let pools = FarPools::ringing(bell.clone());
+                let pools = RemotePools::ringing(bell.clone());
                 Offer::Output { stream: Stream::<StreamWriter>::create(*shape, agreed, &pools)?, pools }
             }
             Way::Calls { shape, .. } => Offer::Calls(Box::new(ServedCalls::create(shape, agreed)?)),
@@ -174,7 +174,7 @@ impl ServerWires {
         connection: &Connection,
         (here, set): (&Here, &PortSet),
         rows: Option<Arc<ShownRows>>,
-        desk: impl FnOnce(Vec<Served>) -> Desk,
+        questions: impl FnOnce(Vec<Served>) -> QuestionQueue,
     ) -> io::Result<ServerWires> {
         match (offer, way) {
             (Offer::Output { stream, pools }, Way::Stream { output, ty, observes, .. }) => {
@@ -182,14 +182,14 @@ impl ServerWires {
                 let stats = stream.end.counters();
                 let newest_ns = connection.options.max_age_ns.map(|_| stream.newest_ns);
                 let first = Arc::new(AtomicU64::new(0));
-                let consumer = Consumer::Far { bell: stream.for_reader, newest_ns, first: first.clone() };
+                let consumer = Consumer::Remote { bell: stream.for_reader, newest_ns, first: first.clone() };
                 let link = Arc::new(OutLink::new(connection.id.0, stream.end, consumer, *observes));
                 cell.add(link, ty, &back::port(ty).into());
                 here.instance.reclaim();
                 Ok(ServerWires::Output { output: cell, stats, first, pools, told: 0, shape: Shape::of(ty) })
             }
             (Offer::Calls(calls), Way::Calls { binding, .. }) => {
-                Self::serve(*calls, binding, connection, (here, set), rows, desk)
+                Self::serve(*calls, binding, connection, (here, set), rows, questions)
             }
             _ => Err(gone()),
         }
@@ -201,15 +201,15 @@ impl ServerWires {
         connection: &Connection,
         (here, set): (&Here, &PortSet),
         rows: Option<Arc<ShownRows>>,
-        desk: impl FnOnce(Vec<Served>) -> Desk,
+        questions: impl FnOnce(Vec<Served>) -> QuestionQueue,
     ) -> io::Result<ServerWires> {
         let server = &here.instance;
         here.executor.add_bell(calls.for_server.clone(), server.core.clone()).map_err(io::Error::other)?;
         let bound = Bound { set, all: commands(&set.ports), binding, shows_rows: rows.is_some() };
         let shown = bound.shown(calls.reads.into_iter().zip(calls.whys));
         let face = Face::new(calls.server, shown, bound.computed_there(calls.own_reads), rows);
-        let desk = desk(bound.served());
-        let commands_in = Inbox::far_commands(
+        let questions = questions(bound.served());
+        let commands_in = Inbox::remote_commands(
             calls.commands,
             calls.replies,
             bound.ids().map(|id| set.commands[id].clone()).collect(),
@@ -218,10 +218,10 @@ impl ServerWires {
             connection.options.deadline_ns.unwrap_or(0),
         );
         server.edit_inboxes(|all| all.push(commands_in.clone()));
-        let to = Arc::new(FarEvents { mailbox: calls.events, bell: calls.for_client });
+        let to = Arc::new(RemoteEvents { mailbox: calls.events, bell: calls.for_client });
         let events = binding.handlers.iter().enumerate().map(|(index, (_, event))| {
             let cell = set.slots.event(*event);
-            let sink = Arc::new(EventSink::Far(FarHandler { to: to.clone(), index: index as u32 }));
+            let sink = Arc::new(EventSink::Remote(RemoteHandler { to: to.clone(), index: index as u32 }));
             cell.edit(|sinks| sinks.push(sink));
             cell.clone()
         });
@@ -239,8 +239,8 @@ impl ServerWires {
             commands_in,
             face,
             bell: calls.for_server,
-            desk,
-            toll: (0, 0),
+            questions,
+            failures: (0, 0),
             panicked: AtomicU64::new(0),
         })
     }
@@ -253,7 +253,7 @@ impl ServerWires {
             ServerWires::Calls { events, to, commands_in, face, bell, .. } => {
                 for event in events {
                     event.edit(|sinks| {
-                        sinks.retain(|s| !matches!(&**s, EventSink::Far(h) if Arc::ptr_eq(&h.to, to)));
+                        sinks.retain(|s| !matches!(&**s, EventSink::Remote(h) if Arc::ptr_eq(&h.to, to)));
                     });
                 }
                 server.edit_views(|views| {
@@ -263,7 +263,7 @@ impl ServerWires {
                 server.books.lose(commands_in.events, commands_in.counted_losses());
                 commands_in.close(PEER_LOST);
                 server.books.lose(commands_in.events, commands_in.unexecuted());
-                commands_in.tell_toll(&**server);
+                commands_in.tell_failures(&**server);
                 here.executor.remove_bell(bell.clone());
             }
         }
@@ -334,10 +334,10 @@ impl ServerWires {
 
     /// Commands that were only sent: how many failed and how many never ran; `None` if unchanged since the
     /// last call.
-    pub(super) fn untold_toll(&mut self) -> Option<(u64, u64)> {
-        let ServerWires::Calls { commands_in, toll, .. } = self else { return None };
+    pub(super) fn untold_failures(&mut self) -> Option<(u64, u64)> {
+        let ServerWires::Calls { commands_in, failures, .. } = self else { return None };
         let now = (commands_in.failed(), commands_in.unexecuted());
-        (std::mem::replace(toll, now) != now).then_some(now)
+        (std::mem::replace(failures, now) != now).then_some(now)
     }
 
     /// Takes note of the number of reads that have panicked in the process of the client, as that process

@@ -1,4 +1,4 @@
-//! The desk where components ask for services: a bounded queue, and an account for each component.
+//! The queue of the services that components ask for: a bounded queue, and an account for each component.
 //!
 //! Invariant: asking never waits, locks or allocates on the asking thread. Every request that was taken
 //! leaves its account once: when its reply is handed over, or dropped.
@@ -35,7 +35,7 @@ pub(super) trait Asker: Send + Sync {
 }
 
 /// Queue of the requests of one LCM's components.
-pub(super) struct Desk {
+pub(super) struct RequestQueue {
     requests: Mailbox,
     waker: Arc<Waker>,
     open: AtomicBool,
@@ -44,7 +44,7 @@ pub(super) struct Desk {
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// One component's account at the desk.
+/// One component's account in the queue.
 #[derive(Default)]
 pub(super) struct Account {
     outstanding: AtomicU32,
@@ -64,9 +64,9 @@ impl Account {
     }
 }
 
-impl Desk {
-    pub(super) fn new() -> Arc<Desk> {
-        Arc::new(Desk {
+impl RequestQueue {
+    pub(super) fn new() -> Arc<RequestQueue> {
+        Arc::new(RequestQueue {
             requests: Mailbox::new(DEPTH, REQUEST_BYTES, 0),
             waker: Arc::new(Waker::new()),
             open: AtomicBool::new(false),
@@ -92,17 +92,17 @@ impl Desk {
         self: &Arc<Self>,
         carry_out: impl Fn(Asked, String) + Send + 'static,
     ) -> std::io::Result<()> {
-        let desk = self.clone();
+        let request_queue = self.clone();
         self.open.store(true, Ordering::Release);
         let run = move || {
-            while desk.open.load(Ordering::Acquire) {
+            while request_queue.open.load(Ordering::Acquire) {
                 let pass_on = |head: EntryHead, text: &[u8]| {
-                    if let Some(asked) = desk.asked(&head) {
+                    if let Some(asked) = request_queue.asked(&head) {
                         carry_out(asked, String::from_utf8_lossy(text).into_owned());
                     }
                 };
-                desk.requests.drain(pass_on, |_| ());
-                desk.waker.wait(None);
+                request_queue.requests.drain(pass_on, |_| ());
+                request_queue.waker.wait(None);
             }
         };
         let thread = house::spawn(thread::Builder::new().name("trocar-services".into()), run)?;

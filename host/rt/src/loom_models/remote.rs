@@ -9,7 +9,8 @@ use super::{Plain, model, model_within};
 use crate::pool::{FramePool, PoolFile};
 use crate::region::{Layout, Region};
 use crate::stream::{
-    FarPools, FarViews, Meta, Payload, Pushed, Queue, StreamReader, StreamWriter, far_reader, far_writer,
+    Meta, Payload, Pushed, Queue, RemotePools, RemoteViews, StreamReader, StreamWriter, remote_reader,
+    remote_writer,
 };
 use crate::wake::{Waker, wait_any};
 
@@ -48,11 +49,11 @@ fn loom_who_sleeps_on_a_waker_and_a_bell_misses_neither() {
 #[test]
 fn loom_a_sample_of_another_process_is_whole_and_stays() {
     model(|| {
-        let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(0));
+        let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(0));
         let payload = Payload::Plain { bytes: 8 };
-        let region = Region::heap(Layout::measure(|l| far_writer(l, payload, Queue::Latest, &pools)));
-        let writer = far_writer(&mut Layout::fresh(&region), payload, Queue::Latest, &pools);
-        let mut reader = far_reader(&mut Layout::of_other_end(&region), payload, Queue::Latest, &views);
+        let region = Region::heap(Layout::measure(|l| remote_writer(l, payload, Queue::Latest, &pools)));
+        let writer = remote_writer(&mut Layout::fresh(&region), payload, Queue::Latest, &pools);
+        let mut reader = remote_reader(&mut Layout::of_other_end(&region), payload, Queue::Latest, &views);
         let other = thread::spawn(move || {
             for seq in 1..=2u64 {
                 let _: Pushed =
@@ -69,15 +70,15 @@ fn loom_a_sample_of_another_process_is_whole_and_stays() {
 }
 
 /// A pool of so many slots, and both ends of a stream of its frames.
-fn frames(slots: u32) -> (Arc<FramePool>, Arc<FarPools>, StreamWriter, StreamReader) {
+fn frames(slots: u32) -> (Arc<FramePool>, Arc<RemotePools>, StreamWriter, StreamReader) {
     let pool = FramePool::new(slots, 8, 0).unwrap();
     let file = Arc::clone(pool.file().unwrap());
-    let (pools, views) = (Arc::new(FarPools::default()), FarViews::new(8));
+    let (pools, views) = (Arc::new(RemotePools::default()), RemoteViews::new(8));
     assert_eq!(pools.place_of(file.number()), Some(0));
     assert!(views.know(0, PoolFile::numbered(file.number()).unwrap()));
-    let region = Region::heap(Layout::measure(|l| far_writer(l, Payload::Frame, Queue::Latest, &pools)));
-    let writer = far_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
-    let reader = far_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
+    let region = Region::heap(Layout::measure(|l| remote_writer(l, Payload::Frame, Queue::Latest, &pools)));
+    let writer = remote_writer(&mut Layout::fresh(&region), Payload::Frame, Queue::Latest, &pools);
+    let reader = remote_reader(&mut Layout::of_other_end(&region), Payload::Frame, Queue::Latest, &views);
     (pool, pools, writer, reader)
 }
 

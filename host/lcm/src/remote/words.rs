@@ -41,7 +41,7 @@ pub(super) enum Words {
     /// Memory of pools whose frames will come, or have come; by their places, one after another.
     Pools { connection: u64, epoch: u64, pools: Vec<Pool> },
     /// Commands on this link that were only sent: how many failed, and how many never ran.
-    Toll { connection: u64, epoch: u64, failed: u64, unexecuted: u64 },
+    Failures { connection: u64, epoch: u64, failed: u64, unexecuted: u64 },
     /// Number of reads computed by the client that panicked on this link; the sentence of the last one
     /// follows.
     Panicked { connection: u64, epoch: u64, count: u64 },
@@ -98,7 +98,7 @@ impl Words {
             | Words::Opened { connection, .. }
             | Words::Declined { connection, .. }
             | Words::Close { connection, .. }
-            | Words::Toll { connection, .. }
+            | Words::Failures { connection, .. }
             | Words::Panicked { connection, .. }
             | Words::Pools { connection, .. }
             | Words::Ask { connection, .. }

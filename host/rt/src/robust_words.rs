@@ -41,7 +41,7 @@ struct Pages {
 }
 
 /// Words the calling thread leaves behind.
-pub struct Will {
+pub struct RobustWords {
     head: NonNull<Head>,
     /// List of this thread before: that of the C library.
     before: (*mut c_void, usize),
@@ -60,13 +60,13 @@ fn check(rc: c_long, asked: &str) -> io::Result<()> {
     Err(io::Error::new(error.kind(), format!("{asked}: {error}")))
 }
 
-impl Will {
-    /// Makes an empty will. It stays on the thread that made it.
+impl RobustWords {
+    /// Makes an empty list. It stays on the thread that made it.
     ///
     /// # Errors
     /// The kernel has no such lists, or this thread holds robust mutexes of the C library, which would be
     /// forgotten: it is to take none as long as this lives.
-    pub fn of_this_thread() -> io::Result<Will> {
+    pub fn of_this_thread() -> io::Result<RobustWords> {
         let (mut head, mut bytes) = (null_mut::<c_void>(), 0usize);
         // SAFETY: 0 is the calling thread; both are valid places for the answers.
         let rc =
@@ -90,13 +90,13 @@ impl Will {
             pending: null_mut(),
         });
         let own = NonNull::from(Box::leak(own));
-        let will = Will { head: own, before: (head, bytes), words: Vec::new(), page, owned };
-        will.first().next.store(own.as_ptr().cast(), Ordering::Relaxed);
+        let robust_words = RobustWords { head: own, before: (head, bytes), words: Vec::new(), page, owned };
+        robust_words.first().next.store(own.as_ptr().cast(), Ordering::Relaxed);
         // SAFETY: the head stays where it is until `drop` has registered the one before, on this same thread:
-        // a will cannot be sent.
+        // the words cannot be sent.
         let rc = unsafe { libc::syscall(libc::SYS_set_robust_list, own.as_ptr(), size_of::<Head>()) };
         check(rc, "have the kernel mark words at the end of this thread")?;
-        Ok(will)
+        Ok(robust_words)
     }
 
     fn first(&self) -> &Entry {
@@ -130,7 +130,7 @@ impl Will {
     }
 }
 
-impl Drop for Will {
+impl Drop for RobustWords {
     fn drop(&mut self) {
         let (head, bytes) = self.before;
         // SAFETY: what the C library had registered for this thread, which still runs; null is no list.

@@ -38,17 +38,17 @@ pub(super) struct Question {
 }
 
 /// Desk for the questions of one link: they are answered on a thread of its own, which starts with the first
-/// question and ends with the desk.
-pub(super) struct Desk {
+/// question and ends with the queue.
+pub(super) struct QuestionQueue {
     /// `None`: there are no questions.
     clerk: Option<Arc<Clerk>>,
     thread: OnceLock<Option<SyncSender<Question>>>,
 }
 
-impl Desk {
-    /// A desk without questions.
-    pub(super) fn closed() -> Desk {
-        Desk { clerk: None, thread: OnceLock::new() }
+impl QuestionQueue {
+    /// A queue without questions.
+    pub(super) fn closed() -> QuestionQueue {
+        QuestionQueue { clerk: None, thread: OnceLock::new() }
     }
 
     pub(super) fn open(
@@ -56,10 +56,10 @@ impl Desk {
         session: &Arc<Session>,
         (connection, epoch): (u64, u64),
         served: Vec<Served>,
-    ) -> Desk {
+    ) -> QuestionQueue {
         let server = Arc::downgrade(server);
         let clerk = Arc::new(Clerk { server, session: session.clone(), connection, epoch, served });
-        Desk { clerk: Some(clerk), thread: OnceLock::new() }
+        QuestionQueue { clerk: Some(clerk), thread: OnceLock::new() }
     }
 
     /// Takes a question; one too many is not answered.
