@@ -22,6 +22,13 @@ export async function another_stream_is_chosen_and_the_picture_fills_the_screen(
   await runs('host/wide/image', 96);
   is(await page.title(), 'host/wide/image · trocar video', 'title');
 
+  const eye = page.getByLabel('eye');
+  is(await eye.inputValue(), 'left', 'the eye that is shown first');
+  await eye.selectOption('both');
+  await runs('host/wide/image', 2 * 96);
+  await eye.selectOption('right');
+  await runs('host/wide/image', 96);
+
   const full = () => page.evaluate(() => document.fullscreenElement !== null);
   const button = page.getByRole('button', { name: 'full screen' });
   await button.click();
@@ -32,4 +39,15 @@ export async function another_stream_is_chosen_and_the_picture_fills_the_screen(
   await button.click();
   await eventually('it does no more', async () => !(await full()));
   await runs('host/wide/image', 96);
+}
+
+export async function an_address_names_the_eye(world) {
+  const host = await world.host();
+  await create(host.addr, 'stereo/phantom_source', 'host/pair', { width: 64, height: 48 }, { model: 'stream', rate_hz: 10 });
+  await start(host.addr, 'host/**');
+  const page = await (await world.browser()).newPage();
+  await page.goto(`http://${host.addr}/video?path=host/pair/image&eye=both`);
+  const canvas = page.locator('[data-picture-of="host/pair/image"] canvas');
+  await eventually('both images are shown', async () => (await canvas.count()) === 1 && (await canvas.evaluate((c) => c.width)) === 2 * 64);
+  is(await page.getByLabel('eye').inputValue(), 'both', 'the eye that is shown');
 }

@@ -127,8 +127,12 @@ def pages_are_short():
 
 
 def links_lead_somewhere():
-    """Relative links of the pages: the file is there, and so is the heading behind #."""
-    found, headings = [], {}
+    """Relative links of the pages: the file is there, and so is the heading behind #; so are the files of the architecture's index."""
+    index = re.findall(r"^\| [^|]+ \| `([^`]+)`", "\n".join(lines("docs/ARCHITECTURE.md")), re.M)
+    files = [path for path in index if re.search(r"/.*\.\w+$", path)]
+    found, headings = [f"docs/ARCHITECTURE.md: {path}: there is no such file" for path in files if not (ROOT / path).exists()], {}
+    if len(files) < 50:
+        found.append(f"docs/ARCHITECTURE.md: its index has {len(files)} files only")
 
     def anchors(path):
         if path not in headings:

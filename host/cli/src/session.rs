@@ -216,7 +216,7 @@ impl Session {
         rate_hz: f64,
     ) -> Result<Follow<'_, v1::SubscribeResponse, ItemView>, Failure> {
         let selection =
-            |path: &String| v1::Selection { path: path.clone(), max_rate_hz: rate_hz, thumbnail_width: 0 };
+            |path: &String| v1::Selection { path: path.clone(), max_rate_hz: rate_hz, ..Default::default() };
         let ask = v1::SubscribeRequest { selections: paths.iter().map(selection).collect() };
         let stream =
             self.client().await?.interact.subscribe(ask).await.map_err(|s| self.failed(&s))?.into_inner();

@@ -222,13 +222,25 @@ pub struct Sample {
 }
 
 /// One thing to follow: `process/component` (its state), `…/interface/event`, or `…/output`.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Selection {
     pub path: String,
     /// Most items per second of an output; 0 = 30.
     pub max_rate_hz: f64,
     /// Frames that are images as JPEG of this width, pixels; 0 = header only.
     pub thumbnail_width: u32,
+    /// Image of a stereo pair that the JPEG shows.
+    pub eye: Eye,
+}
+
+/// Images of a stereo pair; other frames have one image, which every eye sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Eye {
+    #[default]
+    Left,
+    Right,
+    /// Both side by side, each half as wide as asked.
+    Both,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,6 +6,7 @@
 
 use jpeg_encoder::{ColorType, Encoder};
 use serde_json::Value;
+use trocar_lcm_api::Eye;
 
 /// Widths of the pictures, px.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=1920;
@@ -57,7 +58,7 @@ impl Format {
     }
 }
 
-/// An image whose rows all lie inside the bytes; of a pair the left one.
+/// An image whose rows all lie inside the bytes.
 struct Image<'a> {
     bytes: &'a [u8],
     width: usize,
@@ -82,6 +83,12 @@ impl<'a> Image<'a> {
         let whole = stride.checked_mul(height.checked_sub(1)?)?.checked_add(row)?;
         let fits = (1..=MOST).contains(&width) && height <= MOST && row <= stride && whole <= bytes.len();
         fits.then_some(Image { bytes, width, height, stride, format })
+    }
+
+    /// Two images of one header: the right one begins where the header says.
+    fn pair_of(header: &Value, bytes: &'a [u8], right_offset: &Value) -> Option<[Image<'a>; 2]> {
+        let right = bytes.get(usize::try_from(right_offset.as_u64()?).ok()?..)?;
+        Some([Image::of(header, bytes)?, Image::of(header, right)?])
     }
 
     fn row(&self, y: usize) -> &'a [u8] {
@@ -208,9 +215,25 @@ fn yuyv(row: &[u8], x: usize) -> [u8; 3] {
     [409 * v, -100 * u - 208 * v, 516 * u].map(|tint| ((y + tint + 128) >> 8).clamp(0, 255) as u8)
 }
 
-/// The image in a frame, `width` wide at most; `None` where the frame is no image.
-pub(super) fn small(header: &Value, bytes: &[u8], width: u32) -> Option<Small> {
-    Some(Image::of(header, bytes)?.scaled(width))
+/// The image in a frame as an eye sees it, `width` wide at most; `None` where the frame is no image.
+pub(super) fn small(header: &Value, bytes: &[u8], width: u32, eye: Eye) -> Option<Small> {
+    let Some(right_offset) = header.get("right_offset") else {
+        return Some(Image::of(header, bytes)?.scaled(width));
+    };
+    let [left, right] = Image::pair_of(header, bytes, right_offset)?;
+    match eye {
+        Eye::Left => Some(left.scaled(width)),
+        Eye::Right => Some(right.scaled(width)),
+        Eye::Both => Some(side_by_side(&left.scaled(width / 2), &right.scaled(width / 2))),
+    }
+}
+
+/// Two images of one size in one, the rows of the first before those of the second.
+fn side_by_side(left: &Small, right: &Small) -> Small {
+    let row = 3 * usize::from(left.width);
+    let rows = left.rgb.chunks_exact(row).zip(right.rgb.chunks_exact(row));
+    let rgb = rows.flat_map(|(left, right)| [left, right]).flatten().copied().collect();
+    Small { rgb, width: 2 * left.width, height: left.height }
 }
 
 /// The image as JPEG; empty when it cannot be coded, which never happens for allowed sides.
@@ -239,7 +262,7 @@ mod tests {
 
     fn shown(format: &str, width: usize, height: usize, bytes: &[u8], to: u32) -> Small {
         let size = Format::of(&json!(format)).unwrap().size();
-        small(&header(format, width, height, width * size), bytes, to).unwrap()
+        small(&header(format, width, height, width * size), bytes, to, Eye::Left).unwrap()
     }
 
     #[test]
@@ -271,6 +294,28 @@ mod tests {
         let small = shown("GRAY8", 32, 2, &bytes, 16);
         assert_eq!((small.width, small.height), (16, 1));
         assert!(small.rgb.iter().all(|v| *v == 50), "{:?}", small.rgb);
+    }
+
+    #[test]
+    fn each_eye_of_a_pair_sees_its_own_image() {
+        let mut pair = header("GRAY8", 32, 4, 32);
+        pair["right_offset"] = json!(32 * 4);
+        let bytes = [[10_u8; 32 * 4], [200; 32 * 4]].concat();
+        let grey = |small: &Small| small.rgb.as_chunks::<3>().0.iter().map(|p| p[0]).collect::<Vec<_>>();
+        for (eye, light) in [(Eye::Left, 10), (Eye::Right, 200)] {
+            assert!(grey(&small(&pair, &bytes, 32, eye).unwrap()).iter().all(|v| *v == light), "{eye:?}");
+        }
+        let both = small(&pair, &bytes, 32, Eye::Both).unwrap();
+        assert_eq!((both.width, both.height), (32, 2));
+        assert_eq!(grey(&both), [[10; 16], [200; 16]].concat().repeat(2));
+        for beyond in [json!(32 * 4 + 1), json!(u64::MAX), json!(-1), json!("128")] {
+            pair["right_offset"] = beyond;
+            assert!(small(&pair, &bytes, 32, Eye::Right).is_none(), "{}", pair["right_offset"]);
+        }
+        // One image is what every eye sees.
+        for eye in [Eye::Left, Eye::Right, Eye::Both] {
+            assert_eq!(small(&header("GRAY8", 32, 4, 32), &bytes, 32, eye).unwrap().width, 32, "{eye:?}");
+        }
     }
 
     #[test]
@@ -307,7 +352,7 @@ mod tests {
     #[test]
     fn a_header_that_promises_more_than_there_is_gives_no_picture() {
         let bytes = [0_u8; 300];
-        assert!(small(&header("RGB8", 10, 10, 30), &bytes, 64).is_some());
+        assert!(small(&header("RGB8", 10, 10, 30), &bytes, 64, Eye::Left).is_some());
         for bad in [
             header("RGB8", 10, 11, 30),
             header("RGB8", 10, 10, 29),
@@ -322,7 +367,7 @@ mod tests {
             json!({ "distance": 0.1 }),
             json!(7),
         ] {
-            assert!(small(&bad, &bytes, 64).is_none(), "{bad}");
+            assert!(small(&bad, &bytes, 64, Eye::Left).is_none(), "{bad}");
         }
     }
 

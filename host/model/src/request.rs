@@ -13,7 +13,8 @@ pub enum Request {
         config: Option<Value>,
         execution: Execution,
     },
-    /// Create in a process of its own, made like `home`; `id` is where it then is ([`ComponentId::isolated`]).
+    /// Create in a process of its own, made like `home`; `id` is where it then is:
+    /// [`ComponentId::isolated`].
     CreateIsolated {
         id: ComponentId,
         home: Name,

@@ -83,8 +83,8 @@ pub fn state_table(row_bytes: usize, rows: usize) -> (StateWriter, StateReader) 
     (StateWriter::new(Arc::clone(&table)), StateReader { table, attempts: ATTEMPTS })
 }
 
-/// Makes the writer of a table whose readers are in another process; the parts are what [`remote_state_reader`]
-/// lays out.
+/// Makes the writer of a table whose readers are in another process; the parts are what
+/// [`remote_state_reader`] lays out.
 ///
 /// # Panics
 /// As [`state_table`].

@@ -45,7 +45,7 @@ impl Gcm {
         loop {
             able(&self.graph(), id)?;
             let lcm = self.lcm_of(&id.process)?;
-            let selection = Selection { path: member.to_string(), max_rate_hz: 0.0, thumbnail_width: 0 };
+            let selection = Selection { path: member.to_string(), ..Selection::default() };
             match lcm.subscribe(vec![selection]).await {
                 Err(Refusal::ComponentNotFound { .. }) if Instant::now() < until => {
                     tokio::time::sleep(AGAIN).await;

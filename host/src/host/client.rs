@@ -271,7 +271,7 @@ impl Host {
                 field: "max_rate_hz".into(),
             });
         }
-        let selection = Selection { path: path.to_owned(), max_rate_hz, thumbnail_width: 0 };
+        let selection = Selection { path: path.to_owned(), max_rate_hz, ..Selection::default() };
         self.lcm_of(&process_of(path)?)?.subscribe(vec![selection]).await
     }
 

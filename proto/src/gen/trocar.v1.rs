@@ -1421,6 +1421,9 @@ pub struct Selection {
     /// Frames that are images as JPEG of this width, pixels; 0 = header only.
     #[prost(uint32, tag = "3")]
     pub thumbnail_width: u32,
+    /// Image of a stereo pair that the JPEG shows; other frames have one image, which every eye sees.
+    #[prost(enumeration = "Eye", tag = "4")]
+    pub eye: i32,
 }
 /// Asks for Subscribe.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -1514,6 +1517,43 @@ impl ItemKind {
             "ITEM_KIND_STATE" => Some(Self::State),
             "ITEM_KIND_EVENT" => Some(Self::Event),
             "ITEM_KIND_STREAM" => Some(Self::Stream),
+            _ => None,
+        }
+    }
+}
+/// Images of a stereo pair.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum Eye {
+    /// The left one.
+    Unspecified = 0,
+    /// The left one.
+    Left = 1,
+    /// The right one.
+    Right = 2,
+    /// The left one and right of it the right one, each half as wide as asked.
+    Both = 3,
+}
+impl Eye {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "EYE_UNSPECIFIED",
+            Self::Left => "EYE_LEFT",
+            Self::Right => "EYE_RIGHT",
+            Self::Both => "EYE_BOTH",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "EYE_UNSPECIFIED" => Some(Self::Unspecified),
+            "EYE_LEFT" => Some(Self::Left),
+            "EYE_RIGHT" => Some(Self::Right),
+            "EYE_BOTH" => Some(Self::Both),
             _ => None,
         }
     }

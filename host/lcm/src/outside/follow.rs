@@ -71,7 +71,7 @@ fn open(lcm: &impl Shows, selection: &Selection) -> Result<Feed, Refusal> {
             let rate = if selection.max_rate_hz > 0.0 { selection.max_rate_hz } else { DEFAULT_RATE_HZ };
             let (want, most) = match selection.thumbnail_width {
                 0 => (Want::Value, 1000.0),
-                width => (Want::Picture(width), MOST_PICTURES_HZ),
+                width => (Want::Picture(width, selection.eye), MOST_PICTURES_HZ),
             };
             Ok(Feed::Output(Output::open(lcm, &port, want)?, RateLimit::new(rate.clamp(0.01, most))))
         }

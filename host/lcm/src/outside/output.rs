@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tokio::sync::Semaphore;
-use trocar_lcm_api::Sample;
+use trocar_lcm_api::{Eye, Sample};
 use trocar_loader::convert::back;
 use trocar_model::{PortId, PortType, Ports, Refusal, Type};
 use trocar_rt::os;
@@ -30,8 +30,8 @@ static MAKING: Semaphore = Semaphore::const_new(2);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Want {
     Value,
-    /// Also the image in its frame, so many pixels wide.
-    Picture(u32),
+    /// Also the image in its frame, so many pixels wide, as an eye sees it.
+    Picture(u32, Eye),
     /// Also all bytes of its frame.
     Frame,
 }
@@ -77,8 +77,8 @@ pub(super) struct Shown {
     pub(super) frame_bytes: u64,
     /// Present if a reader wanted it.
     frame: Option<Vec<u8>>,
-    /// JPEGs by their width, if a reader wanted one; empty where the frame is no image.
-    pictures: BTreeMap<u32, Vec<u8>>,
+    /// JPEGs by width and eye, if a reader wanted one; empty where the frame is no image.
+    pictures: BTreeMap<(u32, Eye), Vec<u8>>,
 }
 
 impl Output {
@@ -124,7 +124,7 @@ impl Output {
     /// The wanted picture of a sample; empty if none is wanted, or if it is no image.
     pub(super) fn picture(&self, shown: &Shown) -> Vec<u8> {
         match self.want {
-            Want::Picture(width) => shown.pictures.get(&width).cloned().unwrap_or_default(),
+            Want::Picture(width, eye) => shown.pictures.get(&(width, eye)).cloned().unwrap_or_default(),
             Want::Value | Want::Frame => Vec::new(),
         }
     }
@@ -200,9 +200,9 @@ impl Reader {
         for want in wants {
             match want {
                 Want::Frame if sample.bytes.len() <= MOST_FRAME_BYTES => frame = Some(sample.bytes.to_vec()),
-                Want::Picture(width) => {
-                    let image = value.as_ref().ok().and_then(|v| thumbnail::small(v, sample.bytes, width));
-                    images.push((width, image));
+                Want::Picture(width, eye) => {
+                    let small = |v| thumbnail::small(v, sample.bytes, width, eye);
+                    images.push(((width, eye), value.as_ref().ok().and_then(small)));
                 }
                 Want::Value | Want::Frame => {}
             }
@@ -211,7 +211,7 @@ impl Reader {
         let frame_bytes = sample.bytes.len() as u64;
         self.stream.release();
         let jpeg = |image: Option<_>| image.as_ref().map(thumbnail::jpeg).unwrap_or_default();
-        let pictures = images.into_iter().map(|(width, image)| (width, jpeg(image))).collect();
+        let pictures = images.into_iter().map(|(wanted, image)| (wanted, jpeg(image))).collect();
         let look = self.looks;
         self.newest = Some(Arc::new(Shown { look, meta, value, encoded, frame_bytes, frame, pictures }));
         self.newest.clone()
@@ -223,7 +223,7 @@ impl Shown {
     fn has(&self, want: Want) -> bool {
         match want {
             Want::Value => true,
-            Want::Picture(width) => self.pictures.contains_key(&width),
+            Want::Picture(width, eye) => self.pictures.contains_key(&(width, eye)),
             Want::Frame => self.frame.is_some() || self.is_too_large(),
         }
     }

@@ -2,8 +2,8 @@
 //!
 //! One end of such a connection is a [`Half`]: it exists as long as the GCM wants the connection, and is
 //! linked to the other one while both processes live. Invariant: halves are changed by one thread,
-//! `trocar-remote`; any thread that notices the loss of a process notes it at once, and `trocar-remote` does the
-//! rest.
+//! `trocar-remote`; any thread that notices the loss of a process notes it at once, and `trocar-remote` does
+//! the rest.
 
 mod asks;
 mod client;

@@ -155,9 +155,9 @@ pub(super) struct Premises {
 }
 
 impl Premises {
-    /// Looks once. `are_all` is asked after the look: no component was added since `all_guarded` were taken. `busy`
-    /// is asked last: the components that were inside since the last look that returned true; those with
-    /// commands first. False: a component inside looks for itself, or is not known yet, so nothing is
+    /// Looks once. `are_all` is asked after the look: no component was added since `all_guarded` were taken.
+    /// `busy` is asked last: the components that were inside since the last look that returned true; those
+    /// with commands first. False: a component inside looks for itself, or is not known yet, so nothing is
     /// reported yet.
     pub(super) fn look<'a>(
         &mut self,

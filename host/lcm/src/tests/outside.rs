@@ -37,7 +37,7 @@ async fn counting(process: &'static str) -> World {
 impl World {
     async fn follow(&self, path: &str, max_rate_hz: f64, times: usize) -> Receiver<Item> {
         let path = format!("{}/{path}", self.process);
-        self.select(Selection { path, max_rate_hz, thumbnail_width: 0 }, times).await
+        self.select(Selection { path, max_rate_hz, ..Selection::default() }, times).await
     }
 
     async fn select(&self, one: Selection, times: usize) -> Receiver<Item> {
@@ -136,7 +136,12 @@ async fn those_who_want_pictures_share_a_reader_of_their_own_and_hold_no_frame()
     ports.outputs[0].ty = PortType::Frame { header, format, max_bytes: 64 };
     world.create_as("source", class(ports, Safety::None), periodic(1000), Arc::new(Camera::default())).await;
     let path = format!("{}/source/out", world.process);
-    let of_width = |thumbnail_width| Selection { path: path.clone(), max_rate_hz: 60.0, thumbnail_width };
+    let of_width = |thumbnail_width| Selection {
+        path: path.clone(),
+        max_rate_hz: 60.0,
+        thumbnail_width,
+        ..Selection::default()
+    };
     let mut values = world.select(of_width(0), MANY).await;
     let mut pictures = world.select(of_width(64), MANY).await;
     let mut small = world.select(of_width(32), MANY).await;

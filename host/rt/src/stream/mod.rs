@@ -108,8 +108,8 @@ pub fn stream_link(payload: Payload, queue: Queue) -> (StreamWriter, StreamReade
     (StreamWriter::new(Arc::clone(&link), None), StreamReader::new(link, None))
 }
 
-/// Makes the output's end of a link whose other end is in another process; the parts are what [`remote_reader`]
-/// lays out.
+/// Makes the output's end of a link whose other end is in another process; the parts are what
+/// [`remote_reader`] lays out.
 pub fn remote_writer(
     layout: &mut Layout,
     payload: Payload,

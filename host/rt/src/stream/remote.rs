@@ -83,8 +83,8 @@ impl RemotePools {
         }
     }
 
-    /// As [`RemotePools::collect`], of a link on which nothing was sent since the last call: for a thread that
-    /// looks now and then.
+    /// As [`RemotePools::collect`], of a link on which nothing was sent since the last call: for a thread
+    /// that looks now and then.
     pub fn collect_if_idle(&self) {
         if let Some(leases) = self.leases.get() {
             leases.collect_if_idle();

@@ -294,14 +294,7 @@ impl Lcm for RemoteLcm {
     }
 
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
-        let selections = selections
-            .into_iter()
-            .map(|s| v1::Selection {
-                path: s.path,
-                max_rate_hz: s.max_rate_hz,
-                thumbnail_width: s.thumbnail_width,
-            })
-            .collect();
+        let selections = selections.into_iter().map(convert::selection_out).collect();
         let (tell, told) = mpsc::channel(ITEMS);
         let (over, ended) = oneshot::channel();
         let id = self.number();
@@ -396,7 +389,7 @@ mod tests {
 
     fn asked(lcm: &Arc<RemoteLcm>) -> tokio::task::JoinHandle<Result<mpsc::Receiver<Item>, Refusal>> {
         let lcm = lcm.clone();
-        let selection = Selection { path: "far/a/value".into(), max_rate_hz: 0.0, thumbnail_width: 0 };
+        let selection = Selection { path: "far/a/value".into(), ..Selection::default() };
         tokio::spawn(async move { lcm.subscribe(vec![selection]).await })
     }
 

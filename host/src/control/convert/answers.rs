@@ -9,8 +9,8 @@ use trocar_proto::v1;
 use super::back::unreadable;
 use super::json::{from_value, to_value};
 use crate::lcm::{
-    Detail, HalfReport, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample,
-    Spread, When,
+    Detail, Eye, HalfReport, Invoke, Item, ItemKind, LinkDetail, LogLine, Payload, PluginInfo, Reply, Sample,
+    Selection, Spread, When,
 };
 
 /// Level names; 1 is the first.
@@ -41,6 +41,36 @@ pub(crate) fn line_in(line: v1::LogLine) -> LogLine {
         path: line.path,
         target: line.target,
         message: line.message,
+    }
+}
+
+pub(crate) fn selection(s: v1::Selection) -> Result<Selection, Refusal> {
+    let eye = match v1::Eye::try_from(s.eye) {
+        Ok(v1::Eye::Unspecified | v1::Eye::Left) => Eye::Left,
+        Ok(v1::Eye::Right) => Eye::Right,
+        Ok(v1::Eye::Both) => Eye::Both,
+        Err(_) => {
+            return Err(Refusal::ArgumentInvalid {
+                what: format!("following {}", s.path),
+                why: format!("eye is {}; it is EYE_LEFT, EYE_RIGHT or EYE_BOTH", s.eye),
+                field: "selections.eye".into(),
+            });
+        }
+    };
+    Ok(Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: s.thumbnail_width, eye })
+}
+
+pub(crate) fn selection_out(s: Selection) -> v1::Selection {
+    let eye = match s.eye {
+        Eye::Left => v1::Eye::Left,
+        Eye::Right => v1::Eye::Right,
+        Eye::Both => v1::Eye::Both,
+    };
+    v1::Selection {
+        path: s.path,
+        max_rate_hz: s.max_rate_hz,
+        thumbnail_width: s.thumbnail_width,
+        eye: eye.into(),
     }
 }
 

@@ -11,7 +11,7 @@ mod types;
 
 pub(super) use answers::{
     detail_in, half, half_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload,
-    plugin, plugin_in, reply, reply_in, row, sample, sample_in, stats, when,
+    plugin, plugin_in, reply, reply_in, row, sample, sample_in, selection, selection_out, stats, when,
 };
 pub(super) use back::unreadable;
 pub(super) use change::{

@@ -17,7 +17,7 @@ use super::{Edge, not_built, refuse};
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};
 use crate::gcm::Gcm;
-use crate::lcm::{Invoke, Selection};
+use crate::lcm::Invoke;
 
 type Items = Pin<Box<dyn Stream<Item = Result<v1::SubscribeResponse, Status>> + Send>>;
 type Lines = Pin<Box<dyn Stream<Item = Result<v1::LogsResponse, Status>> + Send>>;
@@ -136,8 +136,7 @@ impl InteractService for Edge {
         let mut feeds = Vec::new();
         for s in selections {
             let lcm = self.lcm(&process_of(&s.path).map_err(refuse)?).map_err(refuse)?;
-            let selection =
-                Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: s.thumbnail_width };
+            let selection = convert::selection(s).map_err(refuse)?;
             feeds.push(lcm.subscribe(vec![selection]).await.map_err(refuse)?);
         }
         for mut feed in feeds {

@@ -45,7 +45,8 @@ async fn a_request_without_an_answer_is_told_why() {
     for (query, header, status, words) in [
         ("", "", 400, "no display has a picture here: say which with ?path=host/camera/image"),
         ("path=nowhere/a/image", "", 404, "nowhere"),
-        ("path=host/a/value&width=0", "", 400, "\"width=0\" is neither path=host/camera/image nor width=640"),
+        ("path=host/a/value&width=0", "", 400, "\"width=0\" is none of path=host/camera/image, width=640"),
+        ("path=host/a/value&eye=third", "", 400, "eye=left, right or both"),
         ("path=host%2Fa%2Fvalue", "", 503, "host/a/value gave no picture within 0.3 s: is it running?"),
         ("path=host/a/value", other_page, 403, "only the viewer's own page"),
     ] {

@@ -17,7 +17,7 @@ use trocar_proto::v1::order::Order as O;
 
 use crate::control::convert;
 use crate::gcm::observe;
-use crate::lcm::{Invoke, Lcm, Selection};
+use crate::lcm::{Invoke, Lcm};
 
 /// Longest time an order may take.
 const MOST: Duration = Duration::from_secs(60);
@@ -173,11 +173,12 @@ async fn follow(
     request: v1::SubscribeRequest,
     answers: mpsc::Sender<v1::Answer>,
 ) {
-    let selections = request.selections.into_iter();
-    let selections = selections
-        .map(|s| Selection { path: s.path, max_rate_hz: s.max_rate_hz, thumbnail_width: s.thumbnail_width })
-        .collect();
-    let mut items = match lcm.subscribe(selections).await {
+    let selections: Result<Vec<_>, _> = request.selections.into_iter().map(convert::selection).collect();
+    let followed = match selections {
+        Ok(selections) => lcm.subscribe(selections).await,
+        Err(refusal) => Err(refusal),
+    };
+    let mut items = match followed {
         Ok(items) => items,
         Err(refusal) => return give(&answers, id, Err(refusal)).await,
     };

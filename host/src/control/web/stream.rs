@@ -91,21 +91,26 @@ fn part(jpeg: Vec<u8>) -> Bytes {
     [head.as_bytes(), &jpeg, b"\r\n", BOUNDARY.as_bytes()].concat().into()
 }
 
-/// The selection that a query asks for: `path=…&width=…`, both optional.
+/// The selection that a query asks for: `path=…&width=…&eye=…`, all optional.
 fn selection(query: &str, shown: impl FnOnce() -> Option<String>) -> Result<v1::Selection, String> {
-    let (mut path, mut width) = (None, WIDTH_PX);
+    let (mut path, mut width, mut eye) = (None, WIDTH_PX, v1::Eye::Left);
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
-        let bad = || format!("{pair:?} is neither path=host/camera/image nor width=640, in px");
+        let bad = || {
+            format!("{pair:?} is none of path=host/camera/image, width=640, in px, eye=left, right or both")
+        };
         match pair.split_once('=').ok_or_else(bad)? {
             // Names have no other character that is written like this.
             ("path", value) => path = Some(value.replace("%2F", "/").replace("%2f", "/")),
             ("width", value) => width = value.parse().ok().filter(|px| *px > 0).ok_or_else(bad)?,
+            ("eye", "left") => eye = v1::Eye::Left,
+            ("eye", "right") => eye = v1::Eye::Right,
+            ("eye", "both") => eye = v1::Eye::Both,
             _ => return Err(bad()),
         }
     }
     let path =
         path.or_else(shown).ok_or("no display has a picture here: say which with ?path=host/camera/image")?;
-    Ok(v1::Selection { path, max_rate_hz: MOST_HZ, thumbnail_width: width })
+    Ok(v1::Selection { path, max_rate_hz: MOST_HZ, thumbnail_width: width, eye: eye.into() })
 }
 
 /// The output that goes into a display, as `/video` finds it.

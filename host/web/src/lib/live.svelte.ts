@@ -4,7 +4,7 @@
 /// in its order: no view stands still for it, nor misses an item, unless the old call is a second behind. One path that is refused
 /// never takes the others along.
 import { SvelteMap } from 'svelte/reactivity';
-import type { SubscribeResponse } from '../gen/trocar/v1/interact_pb';
+import { Eye, type SubscribeResponse } from '../gen/trocar/v1/interact_pb';
 import { interact, isGone, said, wasAborted } from './api';
 import { componentOf } from './words';
 
@@ -23,6 +23,8 @@ export interface Wish {
   rate: number;
   /// Pixels; 0 = no picture.
   width: number;
+  /// Image of a stereo pair that the picture shows; the left one where nobody says so.
+  eye?: Eye;
   take: (item: SubscribeResponse) => void;
   /// What comes next does not follow what came last: the call ended, or the component began anew.
   lost?: () => void;
@@ -113,7 +115,7 @@ class Live {
     this.#gathering = setTimeout(() => this.#open(new Set()), after);
   }
 
-  /// One selection per path: the fastest rate and the widest picture anybody wants.
+  /// One selection per path: the fastest rate and the widest picture anybody wants, of the eye that one of them names.
   #selections(without: Set<string>) {
     return [...this.#wishes]
       .filter(([path]) => !without.has(path))
@@ -121,6 +123,7 @@ class Live {
         path,
         maxRateHz: Math.max(...[...wishes].map((w) => w.rate)),
         thumbnailWidth: Math.max(...[...wishes].map((w) => w.width)),
+        eye: [...wishes].find((w) => w.eye !== undefined)?.eye ?? Eye.LEFT,
       }));
   }
 
@@ -202,7 +205,7 @@ class Live {
   }
 
   /// Each by itself, one after the other; the call is left as soon as it stands.
-  async #whoIsRefused(selections: { path: string; maxRateHz: number; thumbnailWidth: number }[], why: string) {
+  async #whoIsRefused(selections: { path: string; maxRateHz: number; thumbnailWidth: number; eye: Eye }[], why: string) {
     const bad: string[] = [];
     for (const selection of selections) {
       if (selections.length === 1) {

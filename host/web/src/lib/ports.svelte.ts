@@ -20,6 +20,8 @@ export interface Port {
   hash: string;
   /// A frame with an image in it.
   image: boolean;
+  /// Two images, one for each eye.
+  pair: boolean;
   frame: boolean;
   any: boolean;
   /// Every component has it, without any code.
@@ -129,22 +131,23 @@ class Offers {
 
 export const offers = new Offers();
 
-function typed(t: PortType | undefined): Pick<Port, 'type' | 'hash' | 'image' | 'frame' | 'any'> {
+function typed(t: PortType | undefined): Pick<Port, 'type' | 'hash' | 'image' | 'pair' | 'frame' | 'any'> {
   switch (t?.kind.case) {
     case 'plain':
-      return { type: t.kind.value.name, hash: t.kind.value.hash, image: false, frame: false, any: false };
+      return { type: t.kind.value.name, hash: t.kind.value.hash, image: false, pair: false, frame: false, any: false };
     case 'frame': {
       const header = t.kind.value.header;
       const fields = header?.shape.case === 'structure' ? header.shape.value.fields.map((f) => f.name) : [];
       const image = ['width', 'height', 'stride', 'format'].every((f) => fields.includes(f));
-      return { type: `${header?.name ?? ''} + bytes`, hash: header?.hash ?? '', image, frame: true, any: false };
+      const pair = image && fields.includes('right_offset');
+      return { type: `${header?.name ?? ''} + bytes`, hash: header?.hash ?? '', image, pair, frame: true, any: false };
     }
     default:
-      return { type: 'takes the type of what it is connected to', hash: '', image: false, frame: false, any: true };
+      return { type: 'takes the type of what it is connected to', hash: '', image: false, pair: false, frame: false, any: true };
   }
 }
 
-const INTERFACE = { hash: '', image: false, frame: false, any: false, tap: false };
+const INTERFACE = { hash: '', image: false, pair: false, frame: false, any: false, tap: false };
 
 /// Every component has an interface `system`: it comes after all that is its own.
 export function systemLast<T extends { name: string }>(provided: T[]): T[] {

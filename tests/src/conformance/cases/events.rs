@@ -108,7 +108,7 @@ pub fn whoever_waits_for_an_event_is_told_when_it_does_not_come(way: &Way) {
 
 pub fn events_are_followed_from_outside_in_order(way: &Way) {
     let lab = Lab::running(way);
-    let selection = Selection { path: lab.path("server/ctl/written"), max_rate_hz: 0.0, thumbnail_width: 0 };
+    let selection = Selection { path: lab.path("server/ctl/written"), ..Selection::default() };
     let mut items =
         block_on(lab.lcm_of("server").subscribe(vec![selection])).expect("the event can be followed");
     for number in 1..=5_u32 {
