@@ -3,14 +3,13 @@
 //! Promise: what waited longer than its deadline is not carried out when the process goes on, and its caller
 //! hears so.
 
-use std::fs;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, Trocar, World, eventually, number};
 
-use crate::processes::system::{System, kill, pid};
+use crate::processes::system::{System, freeze, kill, pid};
 
 /// Exit codes of the command line: no GCM answers, or not in time.
 const NO_GCM: i32 = 3;
@@ -32,12 +31,7 @@ const EXPIRED: usize = 8;
 
 /// Stands still for twice the deadline, once `meanwhile` has begun what waits.
 fn frozen<R>(pid: u64, meanwhile: impl FnOnce() -> R) -> R {
-    kill("-STOP", pid);
-    // Its threads go on until each of them has heard of it.
-    eventually("all of its threads stand still", || match running_threads(pid) {
-        0 => Ok(()),
-        n => Err(n),
-    });
+    freeze(pid);
     let answer = meanwhile();
     let since = Instant::now();
     eventually("the deadline is over", || {
@@ -45,13 +39,6 @@ fn frozen<R>(pid: u64, meanwhile: impl FnOnce() -> R) -> R {
         if waited > 2 * DEADLINE { Ok(()) } else { Err(format!("{waited:?}")) }
     });
     answer
-}
-
-/// Threads of a process that do not stand still.
-fn running_threads(pid: u64) -> usize {
-    let tasks = fs::read_dir(format!("/proc/{pid}/task")).unwrap().flatten();
-    let stats = tasks.filter_map(|task| fs::read_to_string(task.path().join("stat")).ok());
-    stats.filter(|stat| stat.rsplit_once(") ").is_none_or(|(_, rest)| !rest.starts_with('T'))).count()
 }
 
 /// The client's tally of `times` calls in as many threads, or sends in one.
@@ -172,7 +159,7 @@ fn a_host_that_stands_still_is_told_by_whoever_asks_it_and_nobody_waits_for_ever
     let host = HostProcess::start(&world);
     host.grpcurl().create("host/s", "sine", json!({}));
     let trocar = Trocar::at(&world, host.address());
-    kill("-STOP", u64::from(host.pid()));
+    freeze(u64::from(host.pid()));
     let asked: [(&[&str], i32, &str); 4] = [
         (&["ls"], NO_GCM, "takes connections, and has said nothing"),
         (&["call", "host/s/system/get_state"], NO_GCM, "takes connections, and has said nothing"),

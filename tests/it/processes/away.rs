@@ -8,7 +8,7 @@ use serde_json::json;
 use trocar_tests::{eventually, number};
 
 use super::TWO;
-use super::system::{System, connected, kill, pid};
+use super::system::{System, connected, freeze, kill, pid};
 
 #[test]
 fn what_is_stopped_while_its_process_stands_still_is_stopped_when_that_goes_on() {
@@ -43,7 +43,7 @@ fn a_gcm_that_stood_still_has_its_processes_again_as_they_were() {
     let gcm = two.gcm_pid();
     for times in [1, 3] {
         let mut seen = [pid(&before.0), pid(&before.1)].map(|host| (host, connected(host), BTreeSet::new()));
-        kill("-STOP", gcm);
+        freeze(gcm);
         for (host, first, later) in &mut seen {
             eventually(&format!("it dials {times} times"), || {
                 later.extend(connected(*host).difference(first).cloned());

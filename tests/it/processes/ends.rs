@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use trocar_tests::{Built, HostProcess, Trocar, World, eventually, number};
 
 use super::TWO;
-use super::system::{System, children, gone, is_gcm, kill, listening, pid, running, running_in};
+use super::system::{System, children, freeze, gone, is_gcm, kill, listening, pid, running, running_in};
 
 /// One process, whose policy and components are these.
 fn one(policy: &str, components: &str) -> String {
@@ -48,7 +48,7 @@ fn one_that_stands_still_is_killed_where_its_policy_says_so_also_when_it_moves_s
     let file = one(r#"{ "unheard_s": 0.5 }"#, r#""right/c": { "class": "chaos" }"#);
     let system = System::up(&file, &[]);
     let before = system.host("right");
-    kill("-STOP", pid(&before));
+    freeze(pid(&before));
     system.await_back("right", &before);
     let after = system.host("right");
     assert_eq!(last_exit(&after), "was not heard for 0.5 s and was killed", "{after}");
@@ -188,7 +188,7 @@ fn one_that_hangs_before_it_serves_is_killed_and_counts_as_failed() {
         Some(now) if now != pid(&before) => Ok(now),
         other => Err(format!("{other:?}")),
     });
-    kill("-STOP", hung);
+    freeze(hung);
     eventually("the one after it is whole", || {
         let right = system.host("right");
         let whole = right["state"] == "PROCESS_STATE_ATTACHED" && pid(&right) != hung && gone(hung);
@@ -225,7 +225,7 @@ fn down_names_what_it_had_to_kill() {
     let up = ["up", file.to_str().unwrap(), "--detach", "--json", "--listen", "127.0.0.1:0"];
     let up = Trocar::new(&world).run(&up).ends_with(0).json();
     let right = up["processes"].as_array().unwrap().iter().find(|p| p["name"] == "right").unwrap();
-    kill("-STOP", pid(right));
+    freeze(pid(right));
     let down = Trocar::new(&world).run(&["down", "system", "--json"]).ends_with(5).json();
     let named = down["not_in_order"].to_string();
     assert!(named.contains("process right did not end within 12 s and was killed"), "{down}");

@@ -85,7 +85,7 @@ impl System {
     /// Stops a process from running and waits until that is noticed; how it was before.
     pub(crate) fn hold(&self, name: &str) -> Value {
         let before = self.host(name);
-        kill("-STOP", pid(&before));
+        freeze(pid(&before));
         eventually(&format!("{name} is missed"), || match self.host(name) {
             now if now["state"] == "PROCESS_STATE_LOST" => Ok(()),
             now => Err(now.to_string()),
@@ -125,6 +125,24 @@ pub(crate) fn pid(process: &Value) -> u64 {
 pub(crate) fn kill(signal: &str, pid: u64) {
     let sent = Command::new("kill").args([signal, &pid.to_string()]).status();
     assert!(sent.is_ok_and(|s| s.success()), "kill {signal} {pid} did not work");
+}
+
+/// Stops a process, and waits until each of its threads has heard of it: until then they go on.
+pub(crate) fn freeze(pid: u64) {
+    kill("-STOP", pid);
+    eventually("all of its threads stand still", || match running_threads(pid) {
+        0 => Ok(()),
+        n => Err(n),
+    });
+}
+
+/// Threads of a process that neither stand still nor have ended.
+fn running_threads(pid: u64) -> usize {
+    let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let stats = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("stat")).ok());
+    stats
+        .filter(|stat| stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['T', 'Z', 'X'])))
+        .count()
 }
 
 /// It has ended, waited for or not.
