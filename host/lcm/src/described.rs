@@ -3,9 +3,10 @@
 //! Invariant: what two descriptions have in common is the same object in both: a connection of a port that
 //! stays notices nothing.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_model::{Ports, TAPS};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::Mailbox;
@@ -260,6 +261,6 @@ impl Described {
     }
 
     pub(super) fn life(&self) -> MutexGuard<'_, Life> {
-        self.life.lock().unwrap_or_else(PoisonError::into_inner)
+        self.life.lock()
     }
 }

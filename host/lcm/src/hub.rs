@@ -2,9 +2,10 @@
 
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, PoisonError};
 
+use parking_lot::Mutex;
 use tokio::sync::broadcast;
 use trocar_lcm_api::News;
 use trocar_model::{ComponentId, Name};
@@ -56,7 +57,7 @@ impl Hub {
 
     /// Warns of the process itself from now on; `None`: ends the warning.
     pub(super) fn warn(&self, of: Concern, warning: Option<String>) {
-        let mut all = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = self.warnings.lock();
         match warning {
             Some(warning) => _ = all.insert(of, warning),
             None => _ = all.remove(&of),
@@ -73,7 +74,7 @@ impl Hub {
         component: Arc<dyn Any + Send + Sync>,
         why: &str,
     ) {
-        let mut retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut retired = self.retired.lock();
         if retired.contains_key(&number) {
             return;
         }
@@ -85,6 +86,6 @@ impl Hub {
     /// Number of components kept for ever.
     #[cfg(test)]
     pub(super) fn retired(&self) -> usize {
-        self.retired.lock().unwrap_or_else(PoisonError::into_inner).len()
+        self.retired.lock().len()
     }
 }

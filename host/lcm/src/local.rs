@@ -12,12 +12,13 @@ mod wiring;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_lcm_api::{
     Detail, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, RemoteEnd, Reply, Report,
@@ -177,7 +178,7 @@ impl LocalLcm {
                 }
             });
         })?;
-        *lcm.log_thread.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        *lcm.log_thread.lock() = Some(thread);
         lcm.follower.start(&lcm)?;
         Ok(lcm)
     }
@@ -270,7 +271,7 @@ impl LocalLcm {
         self.drop_left(deadline.min(Instant::now() + within / CYCLES_PART)).await;
         self.watchdog.stop();
         self.hub.logs.close();
-        let thread = self.log_thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let thread = self.log_thread.lock().take();
         if let Some(thread) = thread
             && thread.join().is_err()
         {
@@ -279,7 +280,7 @@ impl LocalLcm {
     }
 
     fn held(&self) -> MutexGuard<'_, Held> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        self.held.lock()
     }
 
     /// The component whose report answers a change.
@@ -562,7 +563,7 @@ impl Lcm for LocalLcm {
             components,
             classes: self.classes.as_ref().map_or_else(Vec::new, |c| self.offered(c.as_ref())),
             halves: self.carriers.halves().flat_map(|halves| halves.reports()).collect(),
-            warnings: concern::told(&self.hub.warnings.lock().unwrap_or_else(PoisonError::into_inner)),
+            warnings: concern::told(&self.hub.warnings.lock()),
         })
     }
 

@@ -4,10 +4,11 @@
 //! Invariant: writing never waits or allocates; lines that did not fit are counted and the count is logged.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::broadcast;
 use trocar_model::ComponentId;
 use trocar_model::plain::sentence;
@@ -51,7 +52,7 @@ impl LogRing {
     }
 
     fn names(&self) -> MutexGuard<'_, Names> {
-        self.names.lock().unwrap_or_else(PoisonError::into_inner)
+        self.names.lock()
     }
 
     /// Names a component, or notes that it is gone.

@@ -2,9 +2,10 @@
 //!
 //! Invariant: they belong to no runtime: none of them is waited for when a runtime or a process ends.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use std::thread;
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_rt::house;
 
 use super::realtime::STACK_BYTES;
@@ -22,7 +23,7 @@ pub(super) struct Readers {
 
 impl Readers {
     fn idle(&self) -> MutexGuard<'_, Vec<mpsc::Sender<Job>>> {
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+        self.idle.lock()
     }
 
     /// Runs `job` on an idle thread, or on a new one.

@@ -2,10 +2,11 @@
 //!
 //! Invariant: they have at most [`PLACES`] threads, whatever is asked.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Semaphore, oneshot};
 use trocar_model::{MemberId, Refusal};
 
@@ -36,7 +37,7 @@ impl Default for Reading {
 
 impl Reading {
     fn late(&self) -> MutexGuard<'_, Vec<Late>> {
-        self.late.lock().unwrap_or_else(PoisonError::into_inner)
+        self.late.lock()
     }
 
     /// A number for a read that begins.

@@ -5,8 +5,9 @@
 //! about it.
 
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
+use parking_lot::Mutex;
 use trocar_model::Execution;
 use trocar_rt::os::{self, Hygiene};
 use trocar_rt::team::Team;
@@ -77,7 +78,7 @@ impl Settings {
         let realtime = schedule(execution, &mut warnings);
         self.realtime.store(realtime, Ordering::Relaxed);
         self.priority.store(execution.priority.filter(|_| realtime).unwrap_or(0), Ordering::Relaxed);
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).extend(warnings);
+        self.warnings.lock().extend(warnings);
     }
 
     /// Locks the calling thread's stack where the whole process is not locked but should be.
@@ -104,11 +105,11 @@ impl Settings {
     }
 
     fn warn(&self, said: String) {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).push(said);
+        self.warnings.lock().push(said);
     }
 
     pub(super) fn warnings(&self) -> Vec<String> {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.warnings.lock().clone()
     }
 
     /// True when SCHED_FIFO was granted.

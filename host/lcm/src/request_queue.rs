@@ -7,9 +7,10 @@ mod verb;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::thread::{self, JoinHandle};
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_model::ComponentId;
 use trocar_plugin_api::abi::{DISABLED, NOT_ACTIVE, Outcome, QUEUE_FULL, QUEUED};
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
@@ -83,8 +84,8 @@ impl RequestQueue {
         self.members().remove(&number);
     }
 
-    fn members(&self) -> std::sync::MutexGuard<'_, BTreeMap<u32, Weak<dyn Asker>>> {
-        self.members.lock().unwrap_or_else(PoisonError::into_inner)
+    fn members(&self) -> MutexGuard<'_, BTreeMap<u32, Weak<dyn Asker>>> {
+        self.members.lock()
     }
 
     /// Starts the thread that hands requests to `carry_out`.
@@ -106,7 +107,7 @@ impl RequestQueue {
             }
         };
         let thread = house::spawn(thread::Builder::new().name("trocar-services".into()), run)?;
-        *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        *self.thread.lock() = Some(thread);
         Ok(())
     }
 
@@ -120,7 +121,7 @@ impl RequestQueue {
     pub(super) fn close(&self) {
         self.open.store(false, Ordering::Release);
         self.waker.notify();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let thread = self.thread.lock().take();
         if let Some(thread) = thread
             && thread.join().is_err()
         {

@@ -4,8 +4,9 @@
 //! the listed file, or code that is in the process still after another file took its place.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use trocar_lcm_api::PluginInfo;
 use trocar_loader::convert;
 use trocar_loader::{Hash, ListedPlugin, PluginEntry, PluginError, PluginStore};
@@ -32,7 +33,7 @@ impl StoreClasses {
     }
 
     fn converted(&self, hash: Hash, manifest: &Manifest) -> Arc<Converted> {
-        let mut known = self.converted.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = self.converted.lock();
         let converted = || Arc::new(convert::classes(manifest, &hash.to_string()));
         known.entry(hash).or_insert_with(converted).clone()
     }

@@ -3,8 +3,9 @@
 //! Invariant: emitting never waits; an event that a full queue could not take is counted at that queue.
 
 use std::ffi::c_void;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Outcome, QUEUE_FULL, UNBOUND};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::mailbox::{EntryHead, Mailbox, Overflow, Push};
@@ -130,7 +131,7 @@ impl EventCell {
     }
 
     fn change(&self, f: impl FnOnce(&mut Sinks)) {
-        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = self.editing.lock();
         let mut sinks = self.sinks.enter().clone();
         f(&mut sinks);
         self.sinks.swap(Box::new(sinks));

@@ -5,7 +5,9 @@
 //! Invariant: the kept objects hold nothing of others: no connection, no frame, no sample.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
+
+use parking_lot::Mutex;
 
 use super::host_table::{HostContext, SharedTable};
 use super::ports::Slots;
@@ -47,8 +49,8 @@ impl AllRemains {
         slots.iter().for_each(|slots| slots.retire(host));
         let in_use: Vec<_> = slots.iter().filter(|slots| slots.reclaim() > 0).map(Arc::downgrade).collect();
         let again = !in_use.is_empty();
-        self.in_use.lock().unwrap_or_else(PoisonError::into_inner).extend(in_use);
-        let mut all = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        self.in_use.lock().extend(in_use);
+        let mut all = self.kept.lock();
         all.push_back(Remains { _table: table, slots });
         let mut ports: usize = all.iter().map(Remains::ports).sum();
         let mut oldest = Vec::new();
@@ -67,7 +69,7 @@ impl AllRemains {
     /// Drops objects that cycles still looked at when their component was removed, and no longer do; returns
     /// how many sets of ports are left. Managers only.
     pub(crate) fn reclaim(&self) -> usize {
-        let list = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
+        let list = || self.in_use.lock();
         let before = list().clone();
         // Outside the lock: dropping links and cores takes time.
         let is_done = |slots: &Weak<Slots>| slots.upgrade().is_none_or(|slots| slots.reclaim() == 0);

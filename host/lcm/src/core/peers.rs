@@ -3,8 +3,9 @@
 //! Invariant: the lists are changed by managers, one after the other, and looked at by steps without waiting.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_rt::cell::BindingCell;
 use trocar_rt::os;
 
@@ -34,14 +35,14 @@ impl<S: 'static> Peers<S> {
 
     /// Changes the list of queues; managers only.
     pub(super) fn edit_inboxes(&self, f: impl FnOnce(&mut Vec<Arc<Inbox>>)) {
-        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = self.editing.lock();
         let mut inboxes = self.inboxes.enter().clone();
         f(&mut inboxes);
         self.inboxes.swap(Box::new(inboxes));
     }
 
     fn ports(&self) -> MutexGuard<'_, BTreeMap<String, u64>> {
-        self.missing.lock().unwrap_or_else(PoisonError::into_inner)
+        self.missing.lock()
     }
 
     /// Notes that a required port has a connection, again or for the first time.

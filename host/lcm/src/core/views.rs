@@ -5,9 +5,10 @@
 
 use std::io;
 use std::os::fd::OwnedFd;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 
+use parking_lot::Mutex;
 use trocar_rt::cell::BindingCell;
 use trocar_rt::region::Region;
 use trocar_rt::segment::{Agreed, Rows};
@@ -90,7 +91,7 @@ impl<S: 'static> Default for Views<S> {
 impl<S: 'static> Views<S> {
     /// Changes the list; managers only.
     pub(super) fn edit(&self, f: impl FnOnce(&mut Vec<Arc<dyn View<S>>>)) {
-        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = self.editing.lock();
         let mut all = self.present.enter().all.clone();
         f(&mut all);
         self.is_any.store(!all.is_empty(), Ordering::SeqCst);

@@ -3,8 +3,7 @@
 //!
 //! Invariant: state and fault text change together, under the lock of the text.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
+use parking_lot::{Mutex, MutexGuard};
 use trocar_rt::state::StateWriter;
 
 /// Most warnings kept of one component; the oldest gives way.
@@ -30,16 +29,16 @@ impl Standing {
 
     /// The fault text, to be changed together with the state.
     pub(super) fn fault(&self) -> MutexGuard<'_, String> {
-        self.fault.lock().unwrap_or_else(PoisonError::into_inner)
+        self.fault.lock()
     }
 
     /// The rows behind GetState.
     pub(super) fn status(&self) -> MutexGuard<'_, StateWriter> {
-        self.status.lock().unwrap_or_else(PoisonError::into_inner)
+        self.status.lock()
     }
 
     fn all(&self) -> MutexGuard<'_, Vec<String>> {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner)
+        self.warnings.lock()
     }
 
     pub(super) fn warnings(&self) -> Vec<String> {

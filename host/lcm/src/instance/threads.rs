@@ -3,7 +3,9 @@
 //! Invariant: a thread from before its code first ran is never counted as its own.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
+
+use parking_lot::{Mutex, MutexGuard};
 
 use super::super::realtime::Settings;
 use super::super::supervise::Moment;
@@ -31,7 +33,7 @@ impl Threads {
     }
 
     fn all(&self) -> MutexGuard<'_, BTreeMap<i32, (String, bool)>> {
-        self.children.lock().unwrap_or_else(PoisonError::into_inner)
+        self.children.lock()
     }
 
     /// Notes threads, with their names, that appeared during one of its entries; `lasts`: they may live until

@@ -4,11 +4,12 @@
 //! Invariant: the component's own thread describes and binds; this one only asks for it, cuts and reports. It
 //! waits for no component.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use trocar_model::{ComponentId, State};
 use trocar_rt::wake::Waker;
 use trocar_rt::{house, os};
@@ -51,14 +52,14 @@ impl Follower {
                 pause_ns = if lcm.follow_ports() { SOON_NS } else { LOOK_NS };
             }
         })?;
-        *self.thread.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        *self.thread.lock() = Some(thread);
         Ok(())
     }
 
     pub(crate) fn stop(&self) {
         self.closing.store(true, Ordering::Release);
         self.waker.notify();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let thread = self.thread.lock().take();
         if let Some(thread) = thread
             && thread.join().is_err()
         {

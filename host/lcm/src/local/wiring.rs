@@ -3,9 +3,10 @@
 //! Invariant: changes of a running stream take effect between two of its cycles; ports that a cut leaves
 //! unconnected are noted, and the watchdog handles them.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use tokio::sync::oneshot;
 use trocar_model::{Connection, Refusal, idle_connection};
 
@@ -132,5 +133,5 @@ async fn between_cycles<R: Send + 'static>(
 }
 
 fn take<F>(work: &Mutex<Option<F>>) -> Option<F> {
-    work.lock().unwrap_or_else(PoisonError::into_inner).take()
+    work.lock().take()
 }

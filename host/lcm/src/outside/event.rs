@@ -1,9 +1,10 @@
 //! An event for all listeners outside: one queue, emptied for everybody.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde_json::Value;
 use tokio::sync::broadcast;
 use trocar_model::{MemberId, Refusal, Type, decode};
@@ -115,7 +116,7 @@ impl SharedEvent {
 
     /// Returns the number of the last event so far, and a receiver of all later ones.
     fn listen(&self) -> (u64, broadcast::Receiver<Option<Arc<Heard>>>) {
-        let mut drained = self.drained.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut drained = self.drained.lock();
         self.empty(&mut drained);
         (drained.number, self.tell.subscribe())
     }
@@ -129,7 +130,7 @@ impl SharedEvent {
     }
 
     fn drain(&self) {
-        self.empty(&mut self.drained.lock().unwrap_or_else(PoisonError::into_inner));
+        self.empty(&mut self.drained.lock());
     }
 
     fn empty(&self, drained: &mut Drained) {

@@ -4,9 +4,10 @@
 //! steps.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use parking_lot::{Mutex, MutexGuard};
 use serde_json::Value;
 use tokio::sync::Semaphore;
 use trocar_lcm_api::{Eye, Sample};
@@ -162,7 +163,7 @@ impl SharedOutput {
     }
 
     fn wants(&self) -> MutexGuard<'_, BTreeMap<Want, usize>> {
-        self.wants.lock().unwrap_or_else(PoisonError::into_inner)
+        self.wants.lock()
     }
 
     /// The newest sample that any reader has looked at. Pictures are made on a thread for such work: they

@@ -3,7 +3,9 @@
 //! Invariant: it lives as long as it has readers, and no reader joins one that has ended.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
+
+use parking_lot::Mutex;
 
 pub(super) struct Shared<K, T>(Mutex<BTreeMap<K, Weak<T>>>);
 
@@ -21,7 +23,7 @@ impl<K: Ord, T> Shared<K, T> {
         holds: impl FnOnce(&T) -> bool,
         make: impl FnOnce() -> Result<Arc<T>, E>,
     ) -> Result<Arc<T>, E> {
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = self.0.lock();
         if let Some(there) = all.get(&key).and_then(Weak::upgrade).filter(|there| holds(there)) {
             return Ok(there);
         }
@@ -48,6 +50,6 @@ mod tests {
         drop(first);
         assert_eq!(*join(true, 13), 13, "nobody looked at it any more");
         assert_eq!(shared.join(2, |_| true, || Err("refused")), Err("refused"));
-        assert!(shared.0.lock().unwrap().len() <= 1, "what was looked at leaves nothing");
+        assert!(shared.0.lock().len() <= 1, "what was looked at leaves nothing");
     }
 }

@@ -6,9 +6,10 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_links::Session;
 use trocar_plugin_api::abi::{DEADLINE, Outcome, PEER_LOST};
 use trocar_rt::os;
@@ -44,7 +45,7 @@ impl Asks {
     }
 
     fn open(&self) -> MutexGuard<'_, Option<BTreeMap<u64, SyncSender<ReadAnswer>>>> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+        self.open.lock()
     }
 
     /// Delivers the answer to a question.

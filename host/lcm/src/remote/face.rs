@@ -4,8 +4,9 @@
 //! Invariant: rows and results are written by the thread that publishes a row of the state table, and that
 //! thread never waits; the state is written by the thread that publishes it; the statistics by the watchdog.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use trocar_loader::system;
 use trocar_rt::os;
 use trocar_rt::segment::Word;
@@ -106,7 +107,7 @@ impl View<Core> for Face {
                 break;
             }
         }
-        let mut shown = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shown = self.status.lock();
         shown.iter_mut().for_each(|read| read.publish(server));
     }
 

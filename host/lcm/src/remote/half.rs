@@ -3,9 +3,10 @@
 //! Invariant: a half is linked to one session at a time, under one epoch; messages of any other are not for
 //! it.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_lcm_api::{HalfReport, LinkDetail};
 use trocar_links::{Card, Links, Session};
 use trocar_model::{Connection, End, PortId, Ports, Proxy, Refusal};
@@ -162,7 +163,7 @@ impl Half {
     }
 
     pub(super) fn stage(&self) -> MutexGuard<'_, Stage> {
-        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+        self.stage.lock()
     }
 
     /// Returns the terms by the ports that are here now, and those ports. `own`: the client computes reads

@@ -5,9 +5,10 @@
 
 use std::io;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 
+use parking_lot::Mutex;
 use tokio::sync::oneshot;
 use trocar_lcm_api::{HalfReport, LinkDetail};
 use trocar_links::{Card, Handler, Links, Lost, Message, Session};
@@ -135,7 +136,7 @@ impl Remote {
     /// Cuts all and ends the threads.
     pub(crate) fn stop(&self) {
         self.todos.push(Todo::Stop);
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let thread = self.thread.lock().take();
         if let Some(thread) = thread
             && thread.join().is_err()
         {

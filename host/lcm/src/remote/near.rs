@@ -7,8 +7,9 @@
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_lcm_api::LinkDetail;
 use trocar_loader::convert::back;
 use trocar_model::{Binding, Connection, PortType, Ports, Refusal};
@@ -84,7 +85,7 @@ struct Calls {
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+    mutex.lock()
 }
 
 impl Near {

@@ -3,8 +3,9 @@
 //! Invariant: tasks are done in the order in which they came; whoever leaves one never waits for it.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::oneshot;
 use trocar_links::{Message, Session};
 use trocar_rt::wake::Waker;
@@ -16,7 +17,7 @@ use super::half::Half;
 pub(super) type Halves = Arc<Mutex<BTreeMap<u64, Arc<Half>>>>;
 
 pub(super) fn locked(halves: &Halves) -> MutexGuard<'_, BTreeMap<u64, Arc<Half>>> {
-    halves.lock().unwrap_or_else(PoisonError::into_inner)
+    halves.lock()
 }
 
 pub(super) fn all(halves: &Halves) -> Vec<Arc<Half>> {
@@ -44,7 +45,7 @@ pub(super) struct Todos {
 
 impl Todos {
     fn queue(&self) -> MutexGuard<'_, VecDeque<Todo>> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+        self.queue.lock()
     }
 
     pub(super) fn push(&self, todo: Todo) {

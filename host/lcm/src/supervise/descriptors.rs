@@ -5,8 +5,8 @@
 //! not reported.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_rt::os::{Descriptor, Lasting};
 
 use trocar_loader::{self as loader, Moment};
@@ -25,7 +25,7 @@ static DEAF: AtomicBool = AtomicBool::new(false);
 
 fn lasting() -> MutexGuard<'static, Option<Lasting>> {
     static LASTING: Mutex<Option<Lasting>> = Mutex::new(None);
-    LASTING.lock().unwrap_or_else(PoisonError::into_inner)
+    LASTING.lock()
 }
 
 /// Moments at which the watchdog began with the first descriptor, counted in loads: the previous time, and

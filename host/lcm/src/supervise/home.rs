@@ -1,7 +1,8 @@
 //! The home directory of this process, to which it is brought back.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+
+use parking_lot::Mutex;
 
 /// Home of this process: its working directory when components were first looked after. The lock guards the
 /// word only.
@@ -10,7 +11,7 @@ static HOME: Mutex<Option<PathBuf>> = Mutex::new(None);
 /// The present working directory, and the home directory; `None` if the present one is unknown.
 pub(super) fn whereabouts() -> Option<(PathBuf, PathBuf)> {
     let now = std::env::current_dir().ok()?;
-    let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut home = HOME.lock();
     let home = home.get_or_insert_with(|| now.clone()).clone();
     Some((now, home))
 }
@@ -25,7 +26,7 @@ pub(super) fn go_home(now: PathBuf, home: &PathBuf) -> String {
     match std::env::set_current_dir(home) {
         Ok(()) => "which was put back".to_owned(),
         Err(e) => {
-            *HOME.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
+            *HOME.lock() = Some(now);
             format!("which could not be put back to {}: {e}", home.display())
         }
     }

@@ -1,8 +1,7 @@
 //! The settings that a process looks after which is a host and nothing else: locale, umask, signal handlers,
 //! standard streams.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
+use parking_lot::{Mutex, MutexGuard};
 use trocar_rt::os::{self, Household};
 
 /// Declares this process a host and nothing else: its locale, umask, signal handlers and standard streams are
@@ -19,5 +18,5 @@ pub(super) fn is_own_process() -> bool {
 /// The state of the process at the last look between entries.
 pub(super) fn household() -> MutexGuard<'static, Option<Household>> {
     static HOUSEHOLD: Mutex<Option<Household>> = Mutex::new(None);
-    HOUSEHOLD.lock().unwrap_or_else(PoisonError::into_inner)
+    HOUSEHOLD.lock()
 }

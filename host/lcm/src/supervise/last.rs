@@ -8,10 +8,11 @@
 
 use std::panic;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use parking_lot::{Mutex, MutexGuard};
 use trocar_model::State;
 use trocar_rt::house;
 
@@ -60,7 +61,7 @@ pub(super) fn keep(roster: &Arc<Roster>) {
 }
 
 fn own_roster() -> MutexGuard<'static, Option<Arc<Roster>>> {
-    ROSTER.lock().unwrap_or_else(PoisonError::into_inner)
+    ROSTER.lock()
 }
 
 fn all_guarded() -> Vec<Guarded> {

@@ -3,8 +3,10 @@
 //! Invariant: the lock guards the list only; every look works on a copy.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+
+use parking_lot::Mutex;
 
 use super::super::executor::Executor;
 use super::super::instance::Instance;
@@ -31,17 +33,14 @@ pub(crate) struct Roster {
 impl Roster {
     /// Adds a component, or moves it to another thread.
     pub(crate) fn add(&self, guarded: Guarded) {
-        let mut all_guarded = self.all_guarded.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all_guarded = self.all_guarded.lock();
         all_guarded.retain(|w| w.instance.number != guarded.instance.number);
         all_guarded.push(guarded);
         self.edition.fetch_add(1, Ordering::Release);
     }
 
     pub(crate) fn remove(&self, number: u32) {
-        self.all_guarded
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .retain(|w| w.instance.number != number);
+        self.all_guarded.lock().retain(|w| w.instance.number != number);
         self.edition.fetch_add(1, Ordering::Release);
     }
 
@@ -49,12 +48,12 @@ impl Roster {
     /// among those.
     pub(super) fn has_only(&self, known: &[&Guarded]) -> bool {
         let known: HashSet<u32> = known.iter().map(|k| k.instance.number).collect();
-        let all_guarded = self.all_guarded.lock().unwrap_or_else(PoisonError::into_inner);
+        let all_guarded = self.all_guarded.lock();
         all_guarded.iter().all(|w| known.contains(&w.instance.number))
     }
 
     pub(super) fn all(&self) -> Vec<Guarded> {
-        self.all_guarded.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.all_guarded.lock().clone()
     }
 
     /// The list, if its edition differs from `seen`, which is brought up to date.

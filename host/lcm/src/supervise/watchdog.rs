@@ -6,10 +6,11 @@
 
 use std::cell::OnceCell;
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
+use parking_lot::Mutex;
 use trocar_rt::{house, os};
 
 use super::super::context;
@@ -57,7 +58,7 @@ impl Watchdog {
     pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::Release);
         self.hub.watch.notify();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let thread = self.thread.lock().take();
         if let Some(thread) = thread
             && thread.join().is_err()
         {

@@ -4,9 +4,10 @@
 //! tells another thread of their values.
 
 use std::io::{self, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 
+use parking_lot::Mutex;
 use trocar_model::PortType;
 use trocar_plugin_api::abi::{EXECUTED, INVALID_ARGUMENT, Outcome, UNBOUND};
 use trocar_rt::cell::BindingCell;
@@ -155,7 +156,7 @@ impl OutCell {
     }
 
     fn edit(&self, f: impl FnOnce(&mut Outs)) {
-        let _one = self.editing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = self.editing.lock();
         let now = self.outs.enter();
         let mut outs = Outs {
             shape: now.shape,

@@ -2,9 +2,10 @@
 //!
 //! Invariant: a pool stays as long as a frame of it is out; one lends, the others only wait for their frames.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 
+use parking_lot::Mutex;
 use trocar_plugin_api::abi::Loan;
 use trocar_rt::cell::BindingCell;
 use trocar_rt::os::OsError;
@@ -48,7 +49,7 @@ impl Pools {
     /// Makes another pool, or none, lend from now on. The one before stays at least until the next
     /// [`Pools::reclaim`].
     pub(super) fn change(&self, lends: Option<Arc<FramePool>>) {
-        let _one = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = self.changing.lock();
         let Present { lends: before, number, mut earlier } = self.now.enter().clone();
         earlier.extend(before);
         self.now.swap(Box::new(Present { lends, number: number + 1, earlier }));
@@ -56,14 +57,14 @@ impl Pools {
 
     /// Lets go of all pools. Frames that are out keep theirs.
     pub(super) fn retire(&self) {
-        let _one = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = self.changing.lock();
         self.now.swap(Box::default());
     }
 
     /// Drops earlier pools whose frames have all come back, and what cycles that have ended looked at;
     /// returns how much of that is left.
     pub(super) fn reclaim(&self) -> usize {
-        let one = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let one = self.changing.lock();
         let mut pools = self.now.enter().clone();
         let all = pools.earlier.len();
         pools.earlier.retain(|p| p.stats().free < p.stats().slots);
