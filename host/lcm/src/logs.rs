@@ -24,6 +24,8 @@ const DEPTH: usize = 1024;
 pub(super) const HOST: &str = "trocar::lcm";
 /// Bytes of target and message together; the rest is cut.
 const LINE_BYTES: usize = 504;
+/// Number of the level info.
+const INFO: u32 = 3;
 
 pub(super) struct LogRing {
     mailbox: Mailbox,
@@ -76,9 +78,10 @@ impl LogRing {
         }
     }
 
-    /// Any thread. `level` is 1 error … 5 trace.
+    /// Any thread. `level` is 1 error … 5 trace: lines up to info are kept whatever the program prints, since
+    /// the events and `Logs` tell them, too.
     pub(super) fn push(&self, number: u32, level: u32, target: &[u8], message: &[u8]) {
-        if level > log::max_level() as u32 {
+        if level > INFO.max(log::max_level() as u32) {
             return;
         }
         let mut line = [0u8; LINE_BYTES];
@@ -109,7 +112,7 @@ impl LogRing {
                 let line = self.line(process, &head, line);
                 log::log!(target: "component", level(line.level), "{}: {}", line.path, line.message);
                 // The host itself sends its own lines about a component as an event.
-                if line.target != HOST && line.level <= 3 {
+                if line.target != HOST && line.level <= INFO {
                     note(head.index, line.level, &line.message);
                 }
                 // No receiver is fine: the line is printed already.
@@ -171,7 +174,6 @@ mod tests {
     /// Lines that a ring prints after `tell`.
     fn printed(tell: impl FnOnce(&LogRing)) -> Vec<LogLine> {
         let (ring, (news, mut told)) = (LogRing::new(), broadcast::channel(64));
-        log::set_max_level(log::LevelFilter::Info);
         tell(&ring);
         ring.close();
         ring.run("host", &news, |_, _, _| ());
@@ -190,6 +192,13 @@ mod tests {
         });
         let said: Vec<_> = lines.iter().map(|line| (line.path.as_str(), line.message.as_str())).collect();
         assert_eq!(said, [("host/c", "it burns"), ("host/c", "and is gone")]);
+    }
+
+    #[test]
+    fn lines_up_to_info_are_told_where_the_program_prints_none() {
+        assert_eq!(log::max_level(), log::LevelFilter::Off, "no test of this file sets a logger");
+        let lines = printed(|ring| (1..=5).for_each(|level| ring.push(0, level, b"chaos", b"words")));
+        assert_eq!(lines.iter().map(|line| line.level).collect::<Vec<_>>(), [1, 2, 3]);
     }
 
     #[test]

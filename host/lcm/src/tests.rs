@@ -57,8 +57,6 @@ impl World {
 
     /// A world with these classes, and with a socket where it listens for other processes.
     fn with(process: &'static str, classes: Arc<dyn Classes>, links: Option<PathBuf>) -> World {
-        // As every program sets it; lines that a test waits for need it, whichever test runs first.
-        log::set_max_level(log::LevelFilter::Info);
         let process_name = Name::parse(process).unwrap();
         let config = LcmConfig {
             process: process_name,
