@@ -425,10 +425,14 @@ impl Drop for Lab {
         for host in [self.other.take(), self.host.take()].into_iter().flatten() {
             runtime().block_on(host.shutdown());
         }
+        let (lines, _) = self.gcm.lines().tail();
         // Told by now, if at all: a link between the two hosts whose thread got no processor.
         let silent = |line: &LogLine| line.message.contains(": nothing was heard of it for ");
-        if self.gcm.lines().tail().0.iter().any(silent) {
+        if lines.iter().any(silent) {
             note_away();
+        }
+        if std::thread::panicking() {
+            lines.iter().for_each(|line| eprintln!("{}: {}", line.path, line.message));
         }
     }
 }
