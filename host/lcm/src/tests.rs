@@ -37,7 +37,7 @@ use trocar_model::{
     Overflow, PortId, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Tag, Type, Verb,
 };
 
-use super::boundary::fake::{Behaviour, FakeClasses, behave, class};
+use super::boundary::puppet::{Behaviour, FakeClasses, behave, class};
 use super::{Classes, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
 use crate::watchdog::Watchdog;
 
@@ -50,7 +50,7 @@ struct World {
 }
 
 impl World {
-    /// `process` is unique over all tests: fakes are found by their path.
+    /// `process` is unique over all tests: puppets are found by their path.
     fn new(process: &'static str) -> World {
         World::with(process, Arc::new(FakeClasses), None)
     }

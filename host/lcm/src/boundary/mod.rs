@@ -11,8 +11,6 @@ pub(super) mod counting;
 pub(super) mod deferred;
 mod entry;
 mod event;
-#[cfg(test)]
-pub(super) mod fake;
 mod here;
 mod host_table;
 mod hot;
@@ -26,6 +24,8 @@ mod outcomes;
 mod output;
 mod parallel;
 mod ports;
+#[cfg(test)]
+pub(super) mod puppet;
 mod queue;
 mod range;
 mod read;

@@ -6,7 +6,7 @@ mod commands;
 mod dynamic;
 mod limits;
 mod mistakes;
-mod puppet;
+mod script;
 mod sentences;
 mod streams;
 mod told;

@@ -51,7 +51,7 @@ mod tests {
 
     use trocar_model::{Ports, Safety};
 
-    use super::super::super::boundary::fake::class;
+    use super::super::super::boundary::puppet::class;
     use super::*;
 
     #[test]

@@ -7,7 +7,7 @@ use trocar_model::{Field, StructType};
 use trocar_plugin_api::abi::{EXECUTED, Tick};
 
 use super::super::boundary::counting;
-use super::super::boundary::fake::{Device, Own};
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// Steps that are watched.
@@ -20,7 +20,7 @@ const WARM: u64 = 100;
 struct Watched {
     steps: AtomicU64,
     allocations: AtomicU64,
-    device: Mutex<Option<Device>>,
+    device: Mutex<Option<Own>>,
 }
 
 impl Watched {
@@ -49,7 +49,7 @@ impl Behaviour for Watched {
     }
 
     fn command(&self, _: u32, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         Ok(())
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Promise: no caller is told of a failure before the state shows it.
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// Panics in the entry of this name.

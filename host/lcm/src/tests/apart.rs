@@ -12,7 +12,7 @@ use trocar_plugin_api::abi::{EXECUTED, FAILED, Outcome, PEER_LOST, Tick, UNBOUND
 use trocar_rt::os;
 
 use super::super::boundary::counting;
-use super::super::boundary::fake::{KnownClasses, Own, on_read};
+use super::super::boundary::puppet::{KnownClasses, Own, on_read};
 use super::*;
 
 /// Two processes, a server in one and a client of it in the other.

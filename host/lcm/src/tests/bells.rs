@@ -6,7 +6,7 @@ use trocar_plugin_api::abi::Tick;
 use trocar_rt::region::{Layout, Region};
 use trocar_rt::wake::{MOST_BELLS, Waker};
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::super::executor::Executor;
 use super::super::realtime::Memory;
 use super::*;

@@ -11,7 +11,7 @@ use trocar_model::{Queue, Type};
 use trocar_plugin_api::abi::{EXHAUSTED, Tick};
 
 use super::super::LinkDetail;
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::leaving::LongCycle;
 use super::*;
 

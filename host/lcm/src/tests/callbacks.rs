@@ -5,27 +5,27 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE};
 
-use super::super::boundary::fake::{Device, Own};
 use super::super::boundary::inside;
+use super::super::boundary::puppet::Own;
 use super::super::context;
 use super::*;
 
 /// Hands its device out to the test; counts its commands.
 #[derive(Default)]
 struct Called {
-    device: Mutex<Option<Device>>,
+    device: Mutex<Option<Own>>,
     commands: AtomicU64,
 }
 
 impl Behaviour for Called {
     fn command(&self, _: u32, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         self.commands.fetch_add(1, Ordering::SeqCst);
         Ok(())
     }
 }
 
-async fn device(world: &World, name: &str) -> Device {
+async fn device(world: &World, name: &str) -> Own {
     let called = Arc::new(Called::default());
     let execution = model(ExecutionModel::OnCallback);
     world.create_as(name, class(ctl(), Safety::None), execution, called.clone()).await;

@@ -7,7 +7,7 @@ use std::thread;
 
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Tick, WOULD_BLOCK};
 
-use super::super::boundary::fake::{Device, Own};
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// Counts its steps and writes its name into a log.
@@ -169,13 +169,13 @@ impl Behaviour for Filter {
 /// Hands its device out to the test.
 #[derive(Default)]
 struct Called {
-    device: Mutex<Option<Device>>,
+    device: Mutex<Option<Own>>,
     commands: AtomicU64,
 }
 
 impl Behaviour for Called {
     fn command(&self, _: u32, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         self.commands.fetch_add(1, Ordering::SeqCst);
         Ok(())
     }

@@ -7,7 +7,7 @@ use trocar_model::{OnFailure, Queue};
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::executor::Cycle;
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::super::cycle::{self, Follow, Member};
 use super::super::{context, instance::Instance};
 use super::*;

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, channel};
 
 use trocar_plugin_api::abi::{QUEUE_FULL, Tick, WOULD_BLOCK};
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// Counts its steps; panics at one of them.

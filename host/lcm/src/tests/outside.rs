@@ -8,7 +8,7 @@ use serde_json::json;
 use tokio::sync::mpsc::Receiver;
 use trocar_plugin_api::abi::{EXHAUSTED, Tick};
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::super::{Item, ItemKind, Selection, When};
 use super::removal::destroy;
 use super::*;

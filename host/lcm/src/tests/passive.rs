@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::{EXECUTED, QUEUED, Tick};
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::standing::Held;
 use super::*;
 

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use trocar_model::Phase;
 use trocar_plugin_api::abi::Tick;
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::*;
 
 const PERIOD_NS: u64 = 2_000_000;

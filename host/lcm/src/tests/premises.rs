@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use trocar_plugin_api::abi::Tick;
 
-use super::super::boundary::fake::{Own, set_umask};
+use super::super::boundary::puppet::{Own, set_umask};
 use super::*;
 
 /// Marks the process made for the test.

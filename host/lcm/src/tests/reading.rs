@@ -6,7 +6,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex};
 
-use super::super::boundary::fake::on_read;
+use super::super::boundary::puppet::on_read;
 use super::*;
 
 const FREE: u64 = 1000;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_lcm_api::News;
 use trocar_plugin_api::abi::{NOT_ACTIVE, Tick, UNBOUND};
 
-use super::super::boundary::fake::{Device, Own};
+use super::super::boundary::puppet::Own;
 use super::standing::Held;
 use super::*;
 
@@ -85,12 +85,12 @@ async fn who_failed_is_not_described_again_whatever_it_wishes() {
 /// Wishes for other ports while it is being destroyed.
 #[derive(Default)]
 struct Wisher {
-    device: std::sync::Mutex<Option<Device>>,
+    device: std::sync::Mutex<Option<Own>>,
 }
 
 impl Behaviour for Wisher {
     fn step(&self, _: &Tick, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         Ok(())
     }
     fn destroyed(&self) {
@@ -241,7 +241,7 @@ async fn handles_that_code_keeps_when_its_component_is_gone_are_refused_counted_
     let own = hoards.0.lock().unwrap().unwrap();
     let late = std::thread::spawn(move || {
         let ten = (0..7).map(|_| own.send(0)).chain([own.write(0, &1)]);
-        (ten.collect::<Vec<_>>(), own.take(0), own.device().enter(), own.device().ports_changed())
+        (ten.collect::<Vec<_>>(), own.take(0), own.enter(), own.ports_changed())
     });
     assert_eq!(late.join().unwrap(), (vec![UNBOUND; 8], None, NOT_ACTIVE, NOT_ACTIVE));
     for times in ["1 so far", "10 so far"] {

@@ -9,7 +9,7 @@ use trocar_model::StopReason;
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::os;
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// A time longer than a plain Disconnect is tolerated, ns.

@@ -8,7 +8,7 @@ use trocar_model::StopReason;
 use trocar_plugin_api::abi::{QUEUE_FULL, QUEUED, Tick};
 
 use super::super::News;
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// Stays inside its first step or command until the test lets go.

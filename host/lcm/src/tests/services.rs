@@ -8,7 +8,7 @@ use trocar_plugin_api::abi::{
 };
 
 use super::super::boundary::counting;
-use super::super::boundary::fake::{Device, Own};
+use super::super::boundary::puppet::Own;
 use super::super::{ReplyTo, Services};
 use super::*;
 
@@ -42,7 +42,7 @@ struct Asks {
     outcomes: Mutex<Vec<Outcome>>,
     allocations: AtomicU64,
     replies: Mutex<Vec<(u64, String)>>,
-    device: Mutex<Option<Device>>,
+    device: Mutex<Option<Own>>,
 }
 
 impl Asks {
@@ -75,7 +75,7 @@ impl Behaviour for Asks {
     }
 
     fn command(&self, _: u32, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         if !self.from_step.load(Ordering::Relaxed) {
             self.ask(own, REQUEST);
             self.ask(own, "{}");

@@ -1,6 +1,7 @@
 //! The reported state of a component is true, whatever comes late: a configuration, a device's thread, a
 //! handler that fails, a restart.
 
+use std::ffi::c_void;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -10,7 +11,7 @@ use trocar_model::{Handler, StopReason};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick};
 
 use super::super::When;
-use super::super::boundary::fake::{Device, Own};
+use super::super::boundary::puppet::Own;
 use super::*;
 
 /// Stays inside the first entry of one kind until the test lets go; counts later entries.
@@ -25,7 +26,7 @@ pub(super) struct Held {
     pub(super) stops: AtomicU64,
     pub(super) made_safe: AtomicU64,
     pub(super) destroyed: AtomicBool,
-    device: Mutex<Option<Device>>,
+    device: Mutex<Option<Own>>,
 }
 
 impl Held {
@@ -56,7 +57,7 @@ impl Held {
         self.inside.load(Ordering::SeqCst)
     }
 
-    pub(super) fn device(&self) -> Device {
+    pub(super) fn device(&self) -> Own {
         self.device.lock().unwrap().unwrap()
     }
 }
@@ -71,12 +72,12 @@ impl Behaviour for Held {
         Ok(())
     }
     fn step(&self, _: &Tick, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         self.steps.fetch_add(1, Ordering::SeqCst);
         self.pass("step")
     }
     fn command(&self, _: u32, own: &Own) -> Result<(), String> {
-        *self.device.lock().unwrap() = Some(own.device());
+        *self.device.lock().unwrap() = Some(*own);
         self.pass("command")
     }
     fn destroyed(&self) {
@@ -191,7 +192,7 @@ struct Failing {
 }
 
 impl Behaviour for Failing {
-    fn on_event(&self) -> Result<(), String> {
+    fn on_event(&self, _: u32, _: *const c_void, _: &Own) -> Result<(), String> {
         self.heard.fetch_add(1, Ordering::SeqCst);
         self.on.lock().unwrap().push(std::thread::current().name().unwrap_or("?").to_owned());
         Err("no use for it".into())

@@ -12,7 +12,7 @@ use trocar_plugin_api::abi::Tick;
 use trocar_rt::mailbox::{EntryHead, Overflow, Push};
 use trocar_rt::os;
 
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::super::inbox::ENTRY_COMMAND;
 use super::*;
 

@@ -11,7 +11,7 @@ use trocar_plugin_api::abi::Tick;
 use trocar_rt::mailbox::Mailbox;
 
 use super::super::News;
-use super::super::boundary::fake::Own;
+use super::super::boundary::puppet::Own;
 use super::super::boundary::{EventSink, Tap};
 use super::super::instance::Instance;
 use super::*;

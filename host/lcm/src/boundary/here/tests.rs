@@ -11,7 +11,7 @@ use trocar_rt::region::Layout;
 use trocar_rt::segment::{Agreed, CallShape, RemoteCalls, Rows, ServedCalls};
 use trocar_rt::state::StateWriter;
 
-use super::super::fake::class;
+use super::super::puppet::class;
 use super::super::texts::write_err;
 use super::*;
 

@@ -12,7 +12,7 @@ use trocar_rt::os;
 use trocar_rt::reply::Reply;
 
 use super::super::super::inbox::ENTRY_DUE;
-use super::puppet::*;
+use super::script::*;
 use super::world::*;
 
 /// poke, set, twice, value; event rang.
@@ -314,7 +314,7 @@ fn a_step_never_waits_for_another_thread_but_calls_its_own() {
     world.active("rings", &client(false), on_signal(), Script::default());
     world.connect("rings/peer", "head/ctl");
     let wake = |expected: [Outcome; 2]| {
-        head.seen.lock().unwrap().clear();
+        head.forget();
         world.instance("head").signal();
         let expected: Vec<u64> = expected.iter().map(|o| *o as u64).collect();
         eventually("the step's calls", || head.seen() == expected);
@@ -404,7 +404,7 @@ fn a_direct_handler_runs_inside_emit_on_its_own_thread_and_is_queued_from_anothe
     world.active("near", &observer, with(&world.id("head")), script(false));
     world.connect("near/peer", "head/ctl");
     world.connect("head/peer", "near/ctl");
-    head.seen.lock().unwrap().clear();
+    head.forget();
     world.instance("head").signal();
     eventually("the step", || !head.seen().is_empty());
     assert_eq!(head.seen()[0], 2, "the handler had run when emit came back, and its state was there to read");

@@ -7,7 +7,7 @@ use trocar_model::{Refusal, State, Verb};
 use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, SET, TWICE, client, obeys, server};
-use super::puppet::*;
+use super::script::*;
 use super::world::*;
 use crate::calling::invoke_by;
 use crate::{Invoke, News, Payload};
@@ -47,7 +47,7 @@ fn after_configure_the_ports_are_those_of_the_description_and_connections_that_s
     assert_eq!(robot.counts()[3], 3, "it was bound again");
     assert_eq!(second.send(POKE, 0), UNBOUND);
     // `left` has moved from the second place to the first: its commands have other ids now.
-    robot.seen.lock().unwrap().clear();
+    robot.forget();
     assert_eq!(caller.ask(TWICE, 4).ret, 8);
     assert_eq!(robot.seen(), [TWICE as u64]);
     world.cut(&kept);
@@ -276,7 +276,7 @@ fn an_interface_that_gains_or_loses_a_member_keeps_the_connections_that_do_not_n
     (0..4).for_each(|n| commands.insert(0, named(&format!("extra{n}"))));
     world.describes("robot", description("robot", &more));
     assert!(world.configure("robot").unwrap().lost_connections.is_empty());
-    robot.seen.lock().unwrap().clear();
+    robot.forget();
     assert_eq!(caller.ask(TWICE, 4).ret, 8);
     assert_eq!(robot.seen(), [4 + TWICE as u64], "by its new id");
     assert_eq!(robot.emit(0, 1), EXECUTED, "its handler is still connected");

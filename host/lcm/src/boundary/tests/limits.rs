@@ -10,7 +10,7 @@ use trocar_model::{ConnectOptions, Queue, Refusal, State, Verb};
 use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, client, server};
-use super::puppet::*;
+use super::script::*;
 use super::world::*;
 
 /// The client that floods its server, for the server's command.
@@ -131,7 +131,7 @@ fn frames_that_no_slot_was_left_for_are_counted_whatever_pool_comes_next() {
     world.connect("sink/video", "source/video");
     let slot = source.output(0);
     let loan = || {
-        let mut loan = no_loan();
+        let mut loan = Loan::EMPTY;
         // SAFETY: a slot of this instance, and room for a loan.
         let outcome = unsafe { (slot.loan)(slot.ctx, &raw mut loan) };
         (outcome, loan)
@@ -193,7 +193,7 @@ fn a_configuration_whose_frames_have_no_room_is_taken_back_and_one_that_is_wishe
     // The first and the third configuration ask for too much.
     let configure = move |_: &Stage| {
         let too_much = matches!(count.fetch_add(1, Ordering::SeqCst), 0 | 2);
-        *script_of(&id).described.lock().unwrap() = if too_much { text.clone() } else { String::new() };
+        *script_of(&id).described.lock() = if too_much { text.clone() } else { String::new() };
         STATUS_OK
     };
     let script = Script { configure: Some(Box::new(configure)), ..Script::default() };
@@ -289,7 +289,7 @@ fn a_sample_stamped_ahead_of_time_grows_old_in_a_queue_although_newer_ones_come(
         };
         let next = || {
             let slot = sink.input(0);
-            let mut view = no_view();
+            let mut view = SampleView::EMPTY;
             // SAFETY: a slot of this instance, which nobody else is inside; room for a view.
             assert_eq!(unsafe { (slot.next)(slot.ctx, &raw mut view) }, IN_SAMPLE, "{carrier}");
             (view.stamp_ns, view.flags & SAMPLE_STALE != 0)

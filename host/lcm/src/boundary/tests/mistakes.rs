@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use trocar_plugin_api::abi::*;
 
 use super::commands::{POKE, SET, TWICE, VALUE, client, obeys, server};
-use super::puppet::*;
+use super::script::*;
 use super::world::*;
 
 fn frames(header: &str) -> Value {
@@ -130,12 +130,12 @@ fn a_loan_is_taken_back_once_and_only_by_the_output_it_came_from() {
     world.connect("sink/in", "source/a");
     let (a, b) = (source.output(0), source.output(1));
     let lend = |slot: &OutSlot| {
-        let mut loan = no_loan();
+        let mut loan = Loan::EMPTY;
         // SAFETY: a slot of this instance.
         assert_eq!(unsafe { (slot.loan)(slot.ctx, &mut loan) }, EXECUTED);
         loan
     };
-    let copy = |loan: &Loan| Loan { token: loan.token, ..no_loan() };
+    let copy = |loan: &Loan| Loan { token: loan.token, ..Loan::EMPTY };
     // SAFETY: slots of this instance, and loans of the right size, whatever is in them.
     let commit = |slot: &OutSlot, mut loan: Loan, len| unsafe { (slot.commit)(slot.ctx, &mut loan, len, 0) };
     let loan = lend(a);
@@ -145,23 +145,24 @@ fn a_loan_is_taken_back_once_and_only_by_the_output_it_came_from() {
     assert_eq!(commit(a, again, 1), INVALID_ARGUMENT, "committed already");
     assert!(sink.next(0, 8).is_some());
     for garbage in [0, 1, 8, u64::MAX, 0x0000_7fff_dead_beef] {
-        assert_eq!(commit(a, Loan { token: garbage, ..no_loan() }, 0), INVALID_ARGUMENT);
+        assert_eq!(commit(a, Loan { token: garbage, ..Loan::EMPTY }, 0), INVALID_ARGUMENT);
     }
     assert_eq!(commit(a, lend(a), 65), INVALID_ARGUMENT, "longer than its room");
     let small = Loan { struct_size: 8, ..lend(a) };
-    assert_eq!(commit(a, Loan { struct_size: 8, token: small.token, ..no_loan() }, 1), INVALID_ARGUMENT);
+    assert_eq!(commit(a, Loan { struct_size: 8, token: small.token, ..Loan::EMPTY }, 1), INVALID_ARGUMENT);
     // SAFETY: as above.
     unsafe {
         (a.cancel)(a.ctx, null_mut());
-        (a.cancel)(a.ctx, &mut Loan { token: small.token, ..no_loan() });
-        (a.cancel)(a.ctx, &mut Loan { token: small.token, ..no_loan() });
+        (a.cancel)(a.ctx, &mut Loan { token: small.token, ..Loan::EMPTY });
+        (a.cancel)(a.ctx, &mut Loan { token: small.token, ..Loan::EMPTY });
         assert_eq!((a.loan)(a.ctx, null_mut()), INVALID_ARGUMENT);
-        assert_eq!((a.loan)(a.ctx, &mut Loan { struct_size: 16, ..no_loan() }), INVALID_ARGUMENT);
+        assert_eq!((a.loan)(a.ctx, &mut Loan { struct_size: 16, ..Loan::EMPTY }), INVALID_ARGUMENT);
         assert_eq!((a.commit)(a.ctx, null_mut(), 0, 0), INVALID_ARGUMENT);
     }
     let lent: Vec<Loan> = (0..8).map(|_| lend(a)).collect();
+    let mut none = Loan::EMPTY;
     // SAFETY: as above.
-    assert_eq!(unsafe { (a.loan)(a.ctx, &mut no_loan()) }, EXHAUSTED, "every slot came back before");
+    assert_eq!(unsafe { (a.loan)(a.ctx, &raw mut none) }, EXHAUSTED, "every slot came back before");
     // SAFETY: as above.
     assert_eq!(unsafe { (a.reserve)(a.ctx, 64, 2) }, EXECUTED);
     for loan in lent {
@@ -199,7 +200,7 @@ fn a_view_is_good_only_for_what_its_own_input_shows() {
     }
     assert_eq!(source.frame(0, 1, b"frame"), EXECUTED);
     let show = |stage: &Stage, input: usize| {
-        let (slot, mut view) = (stage.input(input), no_view());
+        let (slot, mut view) = (stage.input(input), SampleView::EMPTY);
         // SAFETY: a slot of this instance.
         assert_eq!(unsafe { (slot.latest)(slot.ctx, &mut view) }, IN_SAMPLE);
         view
@@ -233,7 +234,10 @@ fn a_view_is_good_only_for_what_its_own_input_shows() {
     // SAFETY: slots of this instance; null pointers are what is tested.
     unsafe {
         assert_eq!((slot.latest)(slot.ctx, null_mut()), INVALID_ARGUMENT);
-        assert_eq!((slot.next)(slot.ctx, &mut SampleView { struct_size: 4, ..no_view() }), INVALID_ARGUMENT);
+        assert_eq!(
+            (slot.next)(slot.ctx, &mut SampleView { struct_size: 4, ..SampleView::EMPTY }),
+            INVALID_ARGUMENT
+        );
         assert!((slot.writable)(slot.ctx, null_mut::<SampleView>()).is_null());
         assert_eq!((out.forward)(out.ctx, null::<c_void>().cast(), 0), INVALID_ARGUMENT);
     }
@@ -294,7 +298,7 @@ fn frame_pools_are_locked_into_memory_once_or_it_is_said_why_not() {
     instance.lock_pools();
     let said = instance.warnings().iter().any(|w| w.contains("the frames of out are not locked into memory"));
     let slot = source.output(0);
-    let mut loan = no_loan();
+    let mut loan = Loan::EMPTY;
     // SAFETY: a slot of this instance.
     assert_eq!(unsafe { (slot.loan)(slot.ctx, &mut loan) }, EXECUTED);
     assert_ne!(locked_kib(loan.bytes.addr()) > 0, said, "either locked or said");

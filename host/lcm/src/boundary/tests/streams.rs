@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use trocar_model::{Change, ConnectOptions, Queue, Refusal};
 use trocar_plugin_api::abi::*;
 
-use super::puppet::*;
+use super::script::*;
 use super::world::*;
 
 fn outputs(types: &[(&str, Value)]) -> Value {

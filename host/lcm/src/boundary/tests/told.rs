@@ -4,7 +4,7 @@
 use trocar_plugin_api::abi::*;
 
 use super::commands::{client, server};
-use super::puppet::*;
+use super::script::*;
 use super::world::*;
 
 /// More than the list of one turn holds.
@@ -42,7 +42,7 @@ fn a_step_that_tells_more_components_than_its_list_holds_reaches_all_of_them() {
             stage
         })
         .collect();
-    source.seen.lock().unwrap().clear();
+    source.forget();
     world.instance("source").signal();
     for (i, observer) in observers.iter().enumerate() {
         eventually(&format!("both events at observer {i}"), || observer.seen() == [7, 8]);

@@ -1,4 +1,4 @@
-//! A process full of puppets: an LCM whose every class is the table of [`super::puppet`].
+//! A process full of puppets: an LCM whose every class is the table of [`super::script`].
 //!
 //! Invariant: everything goes through an LCM's own verbs; a world removes what it made before it ends.
 
@@ -13,7 +13,7 @@ use trocar_model::{
 };
 use trocar_plugin_api::manifest::Manifest;
 
-use super::puppet::*;
+use super::script::*;
 use crate::watchdog::Watchdog;
 use crate::{Classes, Lcm, LcmConfig, LoadedClass, LocalLcm, PluginInfo, Report};
 
@@ -26,7 +26,7 @@ impl Classes for Puppets {
     }
 
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal> {
-        Ok(if class.name == MUTE { mute_class() } else { loaded_class() })
+        Ok(if class.name == MUTE { &MUTE_TABLE } else { &PUPPET }.loaded())
     }
 
     fn plugins(&self) -> Vec<PluginInfo> {
@@ -152,7 +152,7 @@ impl World {
 
     /// Sets the text that `describe` writes from now on.
     pub(super) fn describes(&self, name: &str, text: String) {
-        *script_of(&self.id(name)).described.lock().unwrap() = text;
+        *script_of(&self.id(name)).described.lock() = text;
     }
 
     pub(super) fn configure(&self, name: &str) -> Result<Report, Refusal> {

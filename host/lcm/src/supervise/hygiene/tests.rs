@@ -14,7 +14,7 @@ use trocar_rt::os;
 
 use super::super::Guarded;
 use super::{Found, ROUND_NS, Round, Visits, blocked, look_at_directory, mask};
-use crate::boundary::fake::{Behaviour, FakeClasses, behave, class};
+use crate::boundary::puppet::{Behaviour, FakeClasses, behave, class};
 use crate::watchdog::Watchdog;
 use crate::{Lcm, LcmConfig, LocalLcm};
 

@@ -9,7 +9,7 @@ use super::super::lateness::WAKING_NS;
 use super::super::observed::LEAVE_NS;
 use super::super::strangers::lists;
 use super::*;
-use crate::boundary::fake::{Behaviour, FakeClasses, behave, class};
+use crate::boundary::puppet::{Behaviour, FakeClasses, behave, class};
 use crate::{Lcm, LcmConfig, LocalLcm};
 
 const MS: u64 = 1_000_000;
