@@ -54,7 +54,7 @@ impl Core {
     }
 
     /// Runs a handler inside the `emit` of another component of the same thread. Real-time.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn handle(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
         let before = inside::swap_component(self);
         self.deliver(entered, handler, payload);
@@ -64,7 +64,8 @@ impl Core {
         inside::swap_component(before);
     }
 
-    #[inline]
+    // Always: a third of the time of an event to a handler of the same thread is the call otherwise.
+    #[inline(always)]
     pub(super) fn deliver(&self, entered: &mut Entered<'_>, handler: u32, payload: &[u8]) {
         if !self.is_active() {
             return;
