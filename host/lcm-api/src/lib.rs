@@ -239,7 +239,7 @@ pub enum Eye {
     #[default]
     Left,
     Right,
-    /// Both side by side, each half as wide as asked.
+    /// Both side by side, each at half the width that was asked for.
     Both,
 }
 

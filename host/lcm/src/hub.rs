@@ -23,7 +23,7 @@ pub(super) struct Hub {
     pub(super) process: Name,
     pub(super) news: broadcast::Sender<News>,
     pub(super) logs: Arc<LogRing>,
-    /// Desk where components ask for services.
+    /// Queue of the services that components ask for.
     pub(super) request_queue: Arc<RequestQueue>,
     /// Threads for reads from outside.
     pub(super) readers: Arc<Readers>,

@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn lines_up_to_info_are_told_where_the_program_prints_none() {
-        assert_eq!(log::max_level(), log::LevelFilter::Off, "no test of this file sets a logger");
+        assert_eq!(log::max_level(), log::LevelFilter::Off, "no test of this crate sets a logger");
         let lines = printed(|ring| (1..=5).for_each(|level| ring.push(0, level, b"chaos", b"words")));
         assert_eq!(lines.iter().map(|line| line.level).collect::<Vec<_>>(), [1, 2, 3]);
     }

@@ -85,12 +85,6 @@ impl<'a> Image<'a> {
         fits.then_some(Image { bytes, width, height, stride, format })
     }
 
-    /// Two images of one header: the right one begins where the header says.
-    fn pair_of(header: &Value, bytes: &'a [u8], right_offset: &Value) -> Option<[Image<'a>; 2]> {
-        let right = bytes.get(usize::try_from(right_offset.as_u64()?).ok()?..)?;
-        Some([Image::of(header, bytes)?, Image::of(header, right)?])
-    }
-
     fn row(&self, y: usize) -> &'a [u8] {
         &self.bytes[y * self.stride..][..self.width * self.format.size()]
     }
@@ -126,7 +120,7 @@ impl<'a> Image<'a> {
     }
 
     fn scaled(&self, asked: u32) -> Small {
-        let width = (asked.clamp(*WIDTHS.start(), *WIDTHS.end()) as usize).min(self.width);
+        let width = (asked as usize).min(self.width);
         let height = (self.height * width / self.width).clamp(1, usize::from(u16::MAX));
         let boxes: Vec<u32> = (0..self.width).map(|x| (x * width / self.width) as u32).collect();
         let mut counts = vec![0_u32; width];
@@ -217,14 +211,20 @@ fn yuyv(row: &[u8], x: usize) -> [u8; 3] {
 
 /// The image in a frame as an eye sees it, `width` wide at most; `None` where the frame is no image.
 pub(super) fn small(header: &Value, bytes: &[u8], width: u32, eye: Eye) -> Option<Small> {
-    let Some(right_offset) = header.get("right_offset") else {
-        return Some(Image::of(header, bytes)?.scaled(width));
+    let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
+    // Where the right image begins; at 0 there is one image for both eyes.
+    let right_at = header.get("right_offset").filter(|at| at.as_u64() != Some(0));
+    let right = |at: &Value| {
+        let right = bytes.get(usize::try_from(at.as_u64()?).ok()?..)?;
+        Image::of(header, right)
     };
-    let [left, right] = Image::pair_of(header, bytes, right_offset)?;
-    match eye {
-        Eye::Left => Some(left.scaled(width)),
-        Eye::Right => Some(right.scaled(width)),
-        Eye::Both => Some(side_by_side(&left.scaled(width / 2), &right.scaled(width / 2))),
+    match (eye, right_at) {
+        (Eye::Left, _) | (_, None) => Some(Image::of(header, bytes)?.scaled(width)),
+        (Eye::Right, Some(at)) => Some(right(at)?.scaled(width)),
+        (Eye::Both, Some(at)) => {
+            let [left, right] = [Image::of(header, bytes)?, right(at)?];
+            Some(side_by_side(&left.scaled(width / 2), &right.scaled(width / 2)))
+        }
     }
 }
 
@@ -297,6 +297,16 @@ mod tests {
     }
 
     #[test]
+    fn a_pair_side_by_side_is_no_wider_than_one_image() {
+        let mut pair = header("GRAY8", 4000, 4, 4000);
+        pair["right_offset"] = json!(4000 * 4);
+        let bytes = vec![0; 2 * 4000 * 4];
+        for (asked, made) in [(1, 16), (31, 30), (u32::MAX, 1920)] {
+            assert_eq!(small(&pair, &bytes, asked, Eye::Both).unwrap().width, made, "{asked}");
+        }
+    }
+
+    #[test]
     fn each_eye_of_a_pair_sees_its_own_image() {
         let mut pair = header("GRAY8", 32, 4, 32);
         pair["right_offset"] = json!(32 * 4);
@@ -312,6 +322,10 @@ mod tests {
             pair["right_offset"] = beyond;
             assert!(small(&pair, &bytes, 32, Eye::Right).is_none(), "{}", pair["right_offset"]);
         }
+        assert!(small(&pair, &bytes, 32, Eye::Left).is_some(), "the left one needs no right one");
+        pair["right_offset"] = json!(0);
+        let mono = small(&pair, &bytes, 32, Eye::Both).unwrap();
+        assert_eq!((mono.width, mono.height), (32, 4), "one image for both eyes is shown once");
         // One image is what every eye sees.
         for eye in [Eye::Left, Eye::Right, Eye::Both] {
             assert_eq!(small(&header("GRAY8", 32, 4, 32), &bytes, 32, eye).unwrap().width, 32, "{eye:?}");

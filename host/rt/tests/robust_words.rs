@@ -65,7 +65,7 @@ fn of_many_pages_those_are_marked_that_were_not_taken_back_in_whatever_order_tha
 }
 
 #[test]
-fn a_will_that_is_dropped_marks_nothing_and_the_next_one_of_that_thread_does() {
+fn a_list_that_is_dropped_marks_nothing_and_the_next_one_of_that_thread_does() {
     let ((first, seen), (second, seen_too)) = (page(), page());
     dies(move |robust_words| {
         let mut inner = {
@@ -74,7 +74,7 @@ fn a_will_that_is_dropped_marks_nothing_and_the_next_one_of_that_thread_does() {
         };
         assert!(
             inner.as_mut().is_err(),
-            "one thread has one will: what the first one holds would be forgotten"
+            "one thread has one list: what the first one holds would be forgotten"
         );
     });
     assert_eq!(seen.life(), Life::Died);

@@ -319,7 +319,7 @@ fn nobody_elses_component_is_taken_away_for_a_name_that_is_like_one_apart() {
         let found = parse(RICH).difference(&graph, &BTreeSet::new(), prune).unwrap();
         assert_eq!(found, Difference::default(), "prune: {prune}");
     }
-    // Nor is one of the home process, where that apart is there.
+    // Nor is one of the home process, where the isolated one is there.
     let isolated = RICH.replace(r#""class": "toy/arm" }"#, r#""class": "toy/arm", "isolation": "process" }"#);
     let found = parse(&isolated).difference(&graph, &BTreeSet::new(), false).unwrap();
     let gone: Vec<String> = found

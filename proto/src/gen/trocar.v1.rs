@@ -1531,7 +1531,7 @@ pub enum Eye {
     Left = 1,
     /// The right one.
     Right = 2,
-    /// The left one and right of it the right one, each half as wide as asked.
+    /// The left one and right of it the right one, each at half the width that was asked for.
     Both = 3,
 }
 impl Eye {
@@ -4787,7 +4787,7 @@ pub mod gcm_service_server {
 }
 /// A process for one component alone.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct IsolatedProcess {
+pub struct ApartProcess {
     /// Its name.
     #[prost(string, tag = "1")]
     pub process: ::prost::alloc::string::String,
@@ -4804,7 +4804,7 @@ pub struct SuperviseRequest {
     /// Processes it keeps already for isolated components: a GCM that was restarted learns of them from
     /// here.
     #[prost(message, repeated, tag = "2")]
-    pub isolated: ::prost::alloc::vec::Vec<IsolatedProcess>,
+    pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
     /// Incarnation of the GCM that wanted them; 0 = none. That GCM itself knows better what it wants now.
     #[prost(uint64, tag = "3")]
     pub term: u64,
@@ -4817,7 +4817,7 @@ pub struct SuperviseResponse {
     pub term: u64,
     /// Processes it is to keep for isolated components; it ends all others that it kept for them.
     #[prost(message, repeated, tag = "2")]
-    pub isolated: ::prost::alloc::vec::Vec<IsolatedProcess>,
+    pub apart: ::prost::alloc::vec::Vec<ApartProcess>,
     /// Processes it is to end, if they run, and to start again now; sent once.
     #[prost(string, repeated, tag = "3")]
     pub restart: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,

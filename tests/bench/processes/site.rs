@@ -1,4 +1,4 @@
-//! Two hosts as processes of their own, `near` and `remote`, whose GCM is in the benchmark.
+//! Two hosts as processes of their own, `near` and `far`, whose GCM is in the benchmark.
 
 use serde_json::Value;
 use trocar::model::{Execution, ExecutionModel};

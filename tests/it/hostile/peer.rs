@@ -313,7 +313,7 @@ fn words_that_are_none_and_words_out_of_place_change_nothing_of_anybody_else() {
             json!({ "Offered": { "connection": connection } }),
             json!({ "Declined": { "connection": connection, "why": "\u{1b}[2J".repeat(1000), "later": true } }),
             json!({ "Close": { "connection": connection, "epoch": u64::MAX } }),
-            json!({ "Failures": { "connection": connection, "epoch": 0, "failed": u64::MAX, "unexecuted": u64::MAX } }),
+            json!({ "Toll": { "connection": connection, "epoch": 0, "failed": u64::MAX, "unexecuted": u64::MAX } }),
             json!({ "Pools": { "connection": connection, "epoch": 1, "pools": [
                 { "place": usize::MAX, "slots": 1, "header_bytes": 0, "max_bytes": 1 }] } }),
             json!({ "Ask": { "connection": connection, "epoch": 0, "number": 1, "index": u32::MAX, "left_ns": u64::MAX } }),

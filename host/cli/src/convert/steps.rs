@@ -138,20 +138,20 @@ pub(crate) fn fate(told: &Told) -> v1::ProcessFate {
 /// Converts what a supervisor reports about itself.
 pub(crate) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
     let isolated =
-        |a: &Isolated| v1::IsolatedProcess { process: a.process.to_string(), home: a.home.to_string() };
+        |a: &Isolated| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseRequest {
         processes: who.processes.iter().map(ToString::to_string).collect(),
-        isolated: who.isolated.iter().map(isolated).collect(),
+        apart: who.isolated.iter().map(isolated).collect(),
         term: who.term,
     }
 }
 
 /// Reads what a GCM wants of its supervisor, with the term of that GCM.
 pub(crate) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
-    let one = |a: &v1::IsolatedProcess| {
+    let one = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Isolated { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
     };
-    let isolated = told.isolated.iter().map(one).collect::<Result<_, _>>()?;
+    let isolated = told.apart.iter().map(one).collect::<Result<_, _>>()?;
     let restart = told.restart.iter().map(|name| Name::parse(name)).collect::<Result<_, _>>()?;
     Ok((told.term, Wanted { isolated, restart }))
 }

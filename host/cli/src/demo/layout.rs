@@ -1,4 +1,5 @@
-//! Number of processes in which a file of several runs: components that are not apart run in the first one.
+//! Number of processes in which a file of several runs: components without a process of their own run in the
+//! first one.
 //!
 //! Invariant: only the first part of paths changes; components, connections and settings stay as written.
 
@@ -30,13 +31,13 @@ impl Layout {
     /// A path as it is in this layout.
     pub(super) fn place(self, path: &str) -> String {
         match path.split_once('/') {
-            Some((process, rest)) if !self.is_isolated(process) => format!("{HOME}/{rest}"),
+            Some((process, rest)) if !self.has_process(process) => format!("{HOME}/{rest}"),
             _ => path.to_owned(),
         }
     }
 
-    /// Tells whether a process is apart: OCT is the third process, the one that moves the tool is the second.
-    fn is_isolated(self, process: &str) -> bool {
+    /// Tells whether there is such a process: OCT is the third one, that which moves the tool is the second.
+    fn has_process(self, process: &str) -> bool {
         match process {
             HOME => true,
             "oct" => self.processes > 2,
@@ -51,7 +52,7 @@ impl Layout {
     pub(super) fn file(self, name: &str, text: &str) -> Result<SystemFile, Problem> {
         let mut json: Value = serde_json::from_str(text).unwrap_or_default();
         if let Some(processes) = json["processes"].as_object_mut() {
-            processes.retain(|process, _| self.is_isolated(process));
+            processes.retain(|process, _| self.has_process(process));
         }
         if let Some(components) = json["components"].as_object_mut() {
             let placed: Map<String, Value> = std::mem::take(components)

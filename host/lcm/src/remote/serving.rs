@@ -37,7 +37,7 @@ pub(super) struct Question {
     pub(super) arg: Vec<u8>,
 }
 
-/// Desk for the questions of one link: they are answered on a thread of its own, which starts with the first
+/// Queue of the questions of one link: they are answered on a thread of its own, which starts with the first
 /// question and ends with the queue.
 pub(super) struct QuestionQueue {
     /// `None`: there are no questions.

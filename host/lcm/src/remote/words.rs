@@ -41,6 +41,8 @@ pub(super) enum Words {
     /// Memory of pools whose frames will come, or have come; by their places, one after another.
     Pools { connection: u64, epoch: u64, pools: Vec<Pool> },
     /// Commands on this link that were only sent: how many failed, and how many never ran.
+    /// Its name on the wire is older.
+    #[serde(rename = "Toll")]
     Failures { connection: u64, epoch: u64, failed: u64, unexecuted: u64 },
     /// Number of reads computed by the client that panicked on this link; the sentence of the last one
     /// follows.

@@ -54,22 +54,22 @@ pub(crate) fn told(fate: v1::ProcessFate) -> Result<Told, Refusal> {
 
 /// Decodes a supervisor's request for its orders.
 pub(crate) fn supervisor(r: v1::SuperviseRequest) -> Result<Supervisor, Refusal> {
-    let isolated = |a: &v1::IsolatedProcess| {
+    let isolated = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Isolated { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
     };
     Ok(Supervisor {
         processes: r.processes.iter().map(|name| Name::parse(name)).collect::<Result<_, _>>()?,
-        isolated: r.isolated.iter().map(isolated).collect::<Result<_, _>>()?,
+        isolated: r.apart.iter().map(isolated).collect::<Result<_, _>>()?,
         term: r.term,
     })
 }
 
 /// Encodes the GCM's orders for a supervisor.
 pub(crate) fn wanted(term: u64, wanted: Wanted) -> v1::SuperviseResponse {
-    let one = |a: Isolated| v1::IsolatedProcess { process: a.process.to_string(), home: a.home.to_string() };
+    let one = |a: Isolated| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseResponse {
         term,
-        isolated: wanted.isolated.into_iter().map(one).collect(),
+        apart: wanted.isolated.into_iter().map(one).collect(),
         restart: wanted.restart.iter().map(ToString::to_string).collect(),
     }
 }

@@ -142,6 +142,24 @@ mod tests {
 
     use super::*;
 
+    #[test]
+    fn a_query_names_path_width_and_eye() {
+        let shown = || Some("host/microscope/image".to_owned());
+        let eye = |query: &str| selection(query, shown).unwrap().eye();
+        assert_eq!(eye(""), v1::Eye::Left);
+        for (word, meant) in [("left", v1::Eye::Left), ("right", v1::Eye::Right), ("both", v1::Eye::Both)] {
+            assert_eq!(eye(&format!("width=640&eye={word}")), meant, "{word}");
+            let sent = selection(&format!("eye={word}"), shown).unwrap();
+            let kept = crate::control::convert::selection_out(
+                crate::control::convert::selection(sent.clone()).unwrap(),
+            );
+            assert_eq!(kept, sent, "{word}: as it was, on its way to another process");
+        }
+        let unknown = v1::Selection { eye: 9, ..selection("", shown).unwrap() };
+        let refused = crate::control::convert::selection(unknown).unwrap_err();
+        assert!(refused.to_string().contains("EYE_LEFT, EYE_RIGHT or EYE_BOTH"), "{refused}");
+    }
+
     #[tokio::test]
     async fn a_reader_that_looks_late_is_shown_the_end_and_no_old_picture() {
         let (give, items) = mpsc::channel(1);
