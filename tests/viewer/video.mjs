@@ -1,4 +1,6 @@
 /// /video: which stream is shown, and how large.
+import fs from 'node:fs';
+import path from 'node:path';
 import { create, eventually, holds, is, shot, start } from './world.mjs';
 
 export async function another_stream_is_chosen_and_the_picture_fills_the_screen(world) {
@@ -41,13 +43,46 @@ export async function another_stream_is_chosen_and_the_picture_fills_the_screen(
   await runs('host/wide/image', 96);
 }
 
-export async function an_address_names_the_eye(world) {
+/// A folder with one pair: the left image is black, the right one white.
+async function blackAndWhite(page, folder) {
+  fs.mkdirSync(folder);
+  for (const [eye, light] of [['left', 'black'], ['right', 'white']]) {
+    const png = await page.evaluate((style) => {
+      const canvas = Object.assign(document.createElement('canvas'), { width: 64, height: 48 });
+      const drawing = canvas.getContext('2d');
+      drawing.fillStyle = style;
+      drawing.fillRect(0, 0, 64, 48);
+      return canvas.toDataURL('image/png').split(',')[1];
+    }, light);
+    fs.writeFileSync(path.join(folder, `${eye}1.png`), Buffer.from(png, 'base64'));
+  }
+  return folder;
+}
+
+export async function an_address_and_a_menu_name_the_eye(world) {
   const host = await world.host();
-  await create(host.addr, 'stereo/phantom_source', 'host/pair', { width: 64, height: 48 }, { model: 'stream', rate_hz: 10 });
-  await start(host.addr, 'host/**');
   const page = await (await world.browser()).newPage();
+  const directory = await blackAndWhite(page, path.join(world.dir, 'pairs'));
+  await create(host.addr, 'stereo/image_source', 'host/pair', { directory }, { model: 'stream', rate_hz: 10 });
+  await start(host.addr, 'host/**');
   await page.goto(`http://${host.addr}/video?path=host/pair/image&eye=both`);
-  const canvas = page.locator('[data-picture-of="host/pair/image"] canvas');
-  await eventually('both images are shown', async () => (await canvas.count()) === 1 && (await canvas.evaluate((c) => c.width)) === 2 * 64);
-  is(await page.getByLabel('eye').inputValue(), 'both', 'the eye that is shown');
+  /// Brightness at a quarter and at three quarters of the width, of a picture this wide.
+  const lights = (width) => page.locator('[data-picture-of="host/pair/image"] canvas').evaluate((c, wide) => {
+    const at = (part) => c.getContext('2d').getImageData(c.width * part, c.height / 2, 1, 1).data[0];
+    return c.width === wide ? [at(0.25), at(0.75)].map((light) => (light > 200 ? 'white' : light < 50 ? 'black' : light)).join() : `${c.width} px`;
+  }, width);
+  const shows = async (eye, width, expected) => {
+    await eventually(`${eye} shows ${expected}`, async () => (await lights(width)) === expected, () => lights(width));
+    is(await page.getByLabel('eye').inputValue(), eye, 'the eye that is chosen');
+  };
+  await shows('both', 2 * 64, 'black,white');
+  await page.getByLabel('eye').selectOption('left');
+  await shows('left', 64, 'black,black');
+  await page.getByLabel('eye').selectOption('right');
+  await shows('right', 64, 'white,white');
+  for (const unknown of ['third', 'toString']) {
+    await page.goto(`http://${host.addr}/video?path=host/pair/image&eye=${unknown}`);
+    await page.getByText(`eye=${unknown}: it is left, right or both`).waitFor();
+    await shows('left', 64, 'black,black');
+  }
 }

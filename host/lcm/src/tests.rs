@@ -37,7 +37,7 @@ use trocar_model::{
     Overflow, PortId, PortType, Ports, Prim, Provided, Refusal, Required, Safety, State, Tag, Type, Verb,
 };
 
-use super::boundary::puppet::{Behaviour, FakeClasses, behave, class};
+use super::boundary::puppet::{Behaviour, PuppetClasses, behave, class};
 use super::{Classes, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
 use crate::watchdog::Watchdog;
 
@@ -52,7 +52,7 @@ struct World {
 impl World {
     /// `process` is unique over all tests: puppets are found by their path.
     fn new(process: &'static str) -> World {
-        World::with(process, Arc::new(FakeClasses), None)
+        World::with(process, Arc::new(PuppetClasses), None)
     }
 
     /// A world with these classes, and with a socket where it listens for other processes.
@@ -76,9 +76,15 @@ impl World {
         self.lcm.apply(change, Instant::now() + PATIENCE).await
     }
 
-    async fn create_as(&self, name: &str, info: ClassInfo, execution: Execution, fake: Arc<dyn Behaviour>) {
+    async fn create_as(
+        &self,
+        name: &str,
+        info: ClassInfo,
+        execution: Execution,
+        behaviour: Arc<dyn Behaviour>,
+    ) {
         let id = self.id(name);
-        behave(&id.to_string(), fake);
+        behave(&id.to_string(), behaviour);
         let component = Component {
             ports: Arc::new(info.ports.clone()),
             class: Arc::new(info),
@@ -92,8 +98,8 @@ impl World {
         self.configure(name).await.unwrap();
     }
 
-    async fn create(&self, name: &str, execution: Execution, fake: Arc<dyn Behaviour>) {
-        self.create_as(name, class(Ports::default(), Safety::None), execution, fake).await;
+    async fn create(&self, name: &str, execution: Execution, behaviour: Arc<dyn Behaviour>) {
+        self.create_as(name, class(Ports::default(), Safety::None), execution, behaviour).await;
     }
 
     async fn configure(&self, name: &str) -> Result<Report, Refusal> {

@@ -119,7 +119,7 @@ impl<'a> Image<'a> {
         }
     }
 
-    fn scaled(&self, asked: u32) -> Small {
+    fn scaled(&self, asked: u32, light: Light) -> Small {
         let width = (asked as usize).min(self.width);
         let height = (self.height * width / self.width).clamp(1, usize::from(u16::MAX));
         let boxes: Vec<u32> = (0..self.width).map(|x| (x * width / self.width) as u32).collect();
@@ -127,7 +127,6 @@ impl<'a> Image<'a> {
         for to in &boxes {
             counts[*to as usize] += 1;
         }
-        let light = Light::of(self);
         let mut rgb = Vec::with_capacity(3 * width * height);
         let mut sums = vec![[0_u32; 3]; width];
         for y in 0..height {
@@ -161,16 +160,18 @@ struct Light {
 }
 
 impl Light {
-    /// The range of the image's values, without a few at its ends; for images of light any scale.
-    fn of(image: &Image<'_>) -> Light {
-        if !matches!(image.format, Format::Disparity16 | Format::Depth32f) {
-            return Light::default();
+    /// The range of the images' values, without a few at its ends; for images of light any scale.
+    fn of(images: &[&Image<'_>]) -> Light {
+        let is_of_depth =
+            |image: &&&Image<'_>| matches!(image.format, Format::Disparity16 | Format::Depth32f);
+        let mut seen = Vec::new();
+        for image in images.iter().filter(is_of_depth) {
+            let every = (image.width * image.height * images.len()).div_ceil(SAMPLES).max(1);
+            let places = (0..image.width * image.height).step_by(every);
+            seen.extend(
+                places.filter_map(|at| nearness(image.format, image.row(at / image.width), at % image.width)),
+            );
         }
-        let every = (image.width * image.height).div_ceil(SAMPLES).max(1);
-        let places = (0..image.width * image.height).step_by(every);
-        let mut seen: Vec<f32> = places
-            .filter_map(|at| nearness(image.format, image.row(at / image.width), at % image.width))
-            .collect();
         seen.sort_unstable_by(f32::total_cmp);
         let [Some(far), Some(near)] =
             [seen.len() / 50, (seen.len() * 49 / 50).min(seen.len().saturating_sub(1))]
@@ -214,16 +215,17 @@ pub(super) fn small(header: &Value, bytes: &[u8], width: u32, eye: Eye) -> Optio
     let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
     // Where the right image begins; at 0 there is one image for both eyes.
     let right_at = header.get("right_offset").filter(|at| at.as_u64() != Some(0));
-    let right = |at: &Value| {
-        let right = bytes.get(usize::try_from(at.as_u64()?).ok()?..)?;
-        Image::of(header, right)
-    };
+    let left = || Image::of(header, bytes);
+    let right = |at: &Value| Image::of(header, bytes.get(usize::try_from(at.as_u64()?).ok()?..)?);
+    let alone = |image: Image<'_>| image.scaled(width, Light::of(&[&image]));
     match (eye, right_at) {
-        (Eye::Left, _) | (_, None) => Some(Image::of(header, bytes)?.scaled(width)),
-        (Eye::Right, Some(at)) => Some(right(at)?.scaled(width)),
+        (Eye::Left, _) | (_, None) => left().map(alone),
+        (Eye::Right, Some(at)) => right(at).map(alone),
         (Eye::Both, Some(at)) => {
-            let [left, right] = [Image::of(header, bytes)?, right(at)?];
-            Some(side_by_side(&left.scaled(width / 2), &right.scaled(width / 2)))
+            let (left, right) = (left()?, right(at)?);
+            // One scale for both: what is as near is as bright.
+            let light = Light::of(&[&left, &right]);
+            Some(side_by_side(&left.scaled(width / 2, light), &right.scaled(width / 2, light)))
         }
     }
 }
@@ -294,6 +296,19 @@ mod tests {
         let small = shown("GRAY8", 32, 2, &bytes, 16);
         assert_eq!((small.width, small.height), (16, 1));
         assert!(small.rgb.iter().all(|v| *v == 50), "{:?}", small.rgb);
+    }
+
+    #[test]
+    fn what_is_as_near_is_as_bright_in_both_images() {
+        let mut pair = header("DEPTH32F", 32, 1, 32 * 4);
+        pair["right_offset"] = json!(32 * 4);
+        let depths = |least: usize| (0..32).map(move |x| (least + x) as f32);
+        let bytes: Vec<u8> = depths(1).chain(depths(17)).flat_map(f32::to_le_bytes).collect();
+        let both = small(&pair, &bytes, 64, Eye::Both).unwrap();
+        let grey: Vec<u8> = both.rgb.as_chunks::<3>().0.iter().map(|p| p[0]).collect();
+        // 17 m to 32 m are the second half of the left image, and the first of the right one.
+        assert_eq!(grey[16..32], grey[32..48], "{grey:?}");
+        assert!(grey[0] > grey[31], "{grey:?}");
     }
 
     #[test]

@@ -25,14 +25,17 @@ pub(crate) use self::stage::Stage;
 use super::LoadedClass;
 use crate::{Classes, PluginInfo};
 
+/// Where the argument of a command lies, and where its result goes: as many bytes as its types have.
+#[derive(Clone, Copy)]
+pub(crate) struct ArgRet {
+    pub(super) arg: *const c_void,
+    pub(super) ret: *mut c_void,
+}
+
 /// Actions of a component's entries; each does nothing unless overridden.
 pub(crate) trait Behaviour: Send + Sync {
-    fn configure(&self, _json: &str) -> Result<(), String> {
+    fn configure(&self, _json: &str, _own: &Own) -> Result<(), String> {
         Ok(())
-    }
-    /// The same, for those that look at their slots.
-    fn set_up(&self, json: &str, _own: &Own) -> Result<(), String> {
-        self.configure(json)
     }
     fn start(&self) -> Result<(), String> {
         Ok(())
@@ -49,12 +52,8 @@ pub(crate) trait Behaviour: Send + Sync {
     fn step(&self, _tick: &Tick, _own: &Own) -> Result<(), String> {
         Ok(())
     }
-    fn command(&self, _id: u32, _own: &Own) -> Result<(), String> {
+    fn command(&self, _id: u32, _data: ArgRet, _own: &Own) -> Result<(), String> {
         Ok(())
-    }
-    /// The same with argument and result, for those that look at them.
-    fn answer(&self, id: u32, _arg: *const c_void, _ret: *mut c_void, own: &Own) -> Result<(), String> {
-        self.command(id, own)
     }
     fn on_service(&self, _token: u64, _reply: &str) -> Result<(), String> {
         Ok(())
@@ -106,32 +105,43 @@ pub(super) fn entry(err: *mut ErrBuf, f: impl FnOnce() -> Result<(), String>) ->
     status
 }
 
-/// What the host lends for the call.
-fn lent<'a>(bytes: Bytes) -> std::borrow::Cow<'a, str> {
-    // SAFETY: `len` bytes, valid for the call.
-    String::from_utf8_lossy(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
+/// A text that the other side lends.
+///
+/// # Safety
+/// `bytes` are valid for as long as the answer is used.
+unsafe fn lent<'a>(bytes: Bytes) -> &'a str {
+    // SAFETY: by the caller.
+    std::str::from_utf8(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) }).unwrap()
 }
 
+/// The instance of an entry. An entry of one that was destroyed ends the process: no panic leaves it.
 fn own(this: *mut c_void) -> Own {
     // SAFETY: made by `create` below, and never freed.
-    Own(unsafe { &*this.cast::<Stage>() })
+    let own = Own(unsafe { &*this.cast::<Stage>() });
+    assert!(!own.destroyed.load(Ordering::SeqCst), "no entry runs in an instance that was destroyed");
+    own
 }
 
 unsafe extern "C" fn create(host: *const HostTable, name: Bytes, _err: *mut ErrBuf) -> *mut c_void {
-    let name = lent(name).into_owned();
-    let behaviour = BEHAVIOURS.lock().as_ref().and_then(|all| all.get(&name).cloned());
+    // SAFETY: lent for the call.
+    let name = unsafe { lent(name) };
+    let behaviour = BEHAVIOURS.lock().as_ref().and_then(|all| all.get(name).cloned());
     behaviour.map_or(null_mut(), |behaviour| {
-        std::ptr::from_ref(Stage::made(&name, behaviour, host)).cast_mut().cast()
+        std::ptr::from_ref(Stage::made(name, behaviour, host)).cast_mut().cast()
     })
 }
 
 /// Stages stay: tests look at them when their component is gone.
 unsafe extern "C" fn destroy(this: *mut c_void) {
-    own(this).behaviour.destroyed();
+    let own = own(this);
+    own.destroyed.store(true, Ordering::SeqCst);
+    own.behaviour.destroyed();
 }
 
 unsafe extern "C" fn configure(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status {
-    entry(err, || own(this).behaviour.set_up(&lent(json), &own(this)))
+    // SAFETY: lent for the call.
+    let json = unsafe { lent(json) };
+    entry(err, || own(this).behaviour.configure(json, &own(this)))
 }
 
 unsafe extern "C" fn describe(this: *mut c_void, sink: *const Sink) -> Status {
@@ -190,7 +200,7 @@ unsafe extern "C" fn command(
     ret: *mut c_void,
     err: *mut ErrBuf,
 ) -> Status {
-    entry(err, || own(this).behaviour.answer(id, arg, ret, &own(this)))
+    entry(err, || own(this).behaviour.command(id, ArgRet { arg, ret }, &own(this)))
 }
 
 /// Qualified reads from u64 to u64.
@@ -213,7 +223,9 @@ unsafe extern "C" fn read(
 }
 
 unsafe extern "C" fn on_service(this: *mut c_void, token: u64, reply: Bytes) -> Status {
-    entry(null_mut(), || own(this).behaviour.on_service(token, &lent(reply)))
+    // SAFETY: lent for the call.
+    let reply = unsafe { lent(reply) };
+    entry(null_mut(), || own(this).behaviour.on_service(token, reply))
 }
 
 /// A table that lives as long as the tests.
@@ -233,7 +245,7 @@ impl Table {
 pub(super) const ENTRIES: ClassTable = ClassTable {
     struct_size: size_of::<ClassTable>() as u32,
     flags: 0,
-    name: Bytes { ptr: c"fake".as_ptr().cast(), len: 4 },
+    name: Bytes { ptr: c"puppet".as_ptr().cast(), len: 6 },
     create: Some(create),
     destroy: Some(destroy),
     configure: Some(configure),
@@ -257,9 +269,9 @@ pub(super) const ENTRIES: ClassTable = ClassTable {
 static TABLE: Table = Table(ENTRIES);
 
 /// A source that gives the puppets' class for every request.
-pub(crate) struct FakeClasses;
+pub(crate) struct PuppetClasses;
 
-impl Classes for FakeClasses {
+impl Classes for PuppetClasses {
     fn catalog(&self) -> Vec<Arc<ClassInfo>> {
         Vec::new()
     }
@@ -278,11 +290,11 @@ pub(crate) struct KnownClasses(pub(crate) Arc<ClassInfo>);
 
 impl Classes for KnownClasses {
     fn catalog(&self) -> Vec<Arc<ClassInfo>> {
-        FakeClasses.catalog()
+        PuppetClasses.catalog()
     }
 
     fn load(&self, class: &ClassInfo) -> Result<LoadedClass, Refusal> {
-        FakeClasses.load(class)
+        PuppetClasses.load(class)
     }
 
     fn present(&self, name: &str, hash: &str) -> Option<(Arc<ClassInfo>, LoadedClass)> {
@@ -291,7 +303,7 @@ impl Classes for KnownClasses {
     }
 
     fn plugins(&self) -> Vec<PluginInfo> {
-        FakeClasses.plugins()
+        PuppetClasses.plugins()
     }
 }
 
@@ -300,10 +312,10 @@ pub(crate) fn class(mut ports: trocar_model::Ports, safety: Safety) -> ClassInfo
     ports.provided.push(trocar_loader::system::interface());
     trocar_loader::taps::append(&mut ports);
     ClassInfo {
-        plugin: "fakes".into(),
+        plugin: "puppets".into(),
         version: "1.0.0".into(),
         hash: String::new(),
-        name: "fake".into(),
+        name: "puppet".into(),
         doc: String::new(),
         safety,
         hardware: false,

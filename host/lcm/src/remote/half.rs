@@ -146,7 +146,7 @@ impl Half {
     }
 
     /// Warns the client that so many commands of this link that it only sent failed, and so many never ran.
-    pub(super) fn pay(&self, failed: u64, unexecuted: u64) {
+    pub(super) fn tell_failures(&self, failed: u64, unexecuted: u64) {
         let other = &self.other_port().component;
         let tell = |what: &str, how: &str, count: u64| {
             if count > 0 {

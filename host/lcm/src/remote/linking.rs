@@ -376,7 +376,7 @@ impl Linking {
             Words::Failures { epoch, failed, unexecuted, .. }
                 if half.with_wires(session, epoch, |_| ()).is_some() =>
             {
-                half.pay(failed, unexecuted);
+                half.tell_failures(failed, unexecuted);
             }
             _ => {}
         }

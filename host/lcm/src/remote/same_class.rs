@@ -62,6 +62,6 @@ mod tests {
         let codes = [&linked, &of_file, &of_other].map(|class| code_of(class).unwrap());
         assert!(codes[0].contains("of program"), "{codes:?}");
         assert!(codes[0] != codes[1] && codes[1] != codes[2], "{codes:?}");
-        assert_eq!(codes[1], "fakes/fake ab");
+        assert_eq!(codes[1], "puppets/puppet ab");
     }
 }

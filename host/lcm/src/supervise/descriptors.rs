@@ -130,7 +130,7 @@ pub(super) fn look(hub: &Hub, all_guarded: &[&Guarded], turns: &mut Turns) -> Op
 
 /// Names all components: a thread of one may have done it outside of its entries.
 fn suspects(all_guarded: &[&Guarded]) -> String {
-    let names: Vec<String> = all_guarded.iter().take(TOLD).map(|w| w.instance.id.to_string()).collect();
+    let names: Vec<String> = all_guarded.iter().take(TOLD).map(|g| g.instance.id.to_string()).collect();
     match (names.as_slice(), all_guarded.len().saturating_sub(TOLD)) {
         ([], _) => "code in this process".to_owned(),
         ([one], _) => one.clone(),

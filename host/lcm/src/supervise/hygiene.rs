@@ -288,17 +288,17 @@ fn accuse(suspects: &[&Guarded], what: &str, misdeed: Misdeed) -> bool {
     }
     // All are asked, so that a change found now is not taken for one found later.
     let (found, free): (Vec<&Guarded>, Vec<&Guarded>) =
-        suspects.iter().partition(|w| w.instance.watch.takes_found_out(misdeed));
+        suspects.iter().partition(|g| g.instance.watch.takes_found_out(misdeed));
     let (known, others): (Vec<&Guarded>, Vec<&Guarded>) =
-        free.iter().partition(|w| w.instance.watch.is_suspected());
+        free.iter().partition(|g| g.instance.watch.is_suspected());
     match others.as_slice() {
         [] => return true,
         [guarded] if found.is_empty() => guarded.instance.warn(what),
         // A change found at one may have been made beside it by another one that is not looked at yet.
         _ => {
-            let names: Vec<String> = found.iter().chain(&others).map(|w| w.instance.id.to_string()).collect();
-            others.iter().for_each(|w| w.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
-            others.iter().for_each(|w| w.instance.watch.suspect(true));
+            let names: Vec<String> = found.iter().chain(&others).map(|g| g.instance.id.to_string()).collect();
+            others.iter().for_each(|g| g.instance.warn(&format!("{what}, by one of {}", names.join(", "))));
+            others.iter().for_each(|g| g.instance.watch.suspect(true));
             return true;
         }
     }

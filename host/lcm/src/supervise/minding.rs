@@ -15,7 +15,7 @@ pub(super) enum Minding<'a> {
 
 /// Counters of these components' own looks, for [`minding`].
 pub(super) fn minded(all_guarded: &[&Guarded]) -> Vec<u64> {
-    all_guarded.iter().map(|w| w.instance.watch.minded()).collect()
+    all_guarded.iter().map(|g| g.instance.watch.minded()).collect()
 }
 
 /// Tells which components look for themselves, or did since `before` was taken.
@@ -23,7 +23,7 @@ pub(super) fn minding<'a>(all_guarded: &[&'a Guarded], before: &[u64]) -> Mindin
     let now = minded(all_guarded);
     let inside: Vec<&Guarded> =
         all_guarded.iter().zip(&now).filter(|(_, word)| *word % 2 == 1).map(|(w, _)| *w).collect();
-    if now != before || inside.iter().any(|w| w.instance.watch.health() != Health::Unresponsive) {
+    if now != before || inside.iter().any(|g| g.instance.watch.health() != Health::Unresponsive) {
         Minding::Looks
     } else if inside.is_empty() {
         Minding::Nobody

@@ -34,13 +34,13 @@ impl Roster {
     /// Adds a component, or moves it to another thread.
     pub(crate) fn add(&self, guarded: Guarded) {
         let mut all_guarded = self.all_guarded.lock();
-        all_guarded.retain(|w| w.instance.number != guarded.instance.number);
+        all_guarded.retain(|g| g.instance.number != guarded.instance.number);
         all_guarded.push(guarded);
         self.edition.fetch_add(1, Ordering::Release);
     }
 
     pub(crate) fn remove(&self, number: u32) {
-        self.all_guarded.lock().retain(|w| w.instance.number != number);
+        self.all_guarded.lock().retain(|g| g.instance.number != number);
         self.edition.fetch_add(1, Ordering::Release);
     }
 
@@ -49,7 +49,7 @@ impl Roster {
     pub(super) fn has_only(&self, known: &[&Guarded]) -> bool {
         let known: HashSet<u32> = known.iter().map(|k| k.instance.number).collect();
         let all_guarded = self.all_guarded.lock();
-        all_guarded.iter().all(|w| known.contains(&w.instance.number))
+        all_guarded.iter().all(|g| known.contains(&g.instance.number))
     }
 
     pub(super) fn all(&self) -> Vec<Guarded> {

@@ -118,7 +118,7 @@ impl Rounds {
     fn look(&mut self, now_ns: u64) {
         let late = self.late;
         let stuck: Vec<Option<String>> =
-            self.all_observed.iter_mut().map(|c| c.stuck(now_ns, late)).collect();
+            self.all_observed.iter_mut().map(|o| o.stuck(now_ns, late)).collect();
         let holders: Vec<usize> = (0..stuck.len()).filter(|at| stuck[*at].is_some()).collect();
         for (at, why) in stuck.into_iter().enumerate() {
             let why = why.or_else(|| {
@@ -133,14 +133,14 @@ impl Rounds {
 
     /// Looks at the process and its threads, which components should leave as they were.
     fn look_around(&mut self, hub: &Hub, now_ns: u64, roster: &Roster) {
-        let all_guarded: Vec<&Guarded> = self.all_observed.iter().map(|c| &c.guarded).collect();
+        let all_guarded: Vec<&Guarded> = self.all_observed.iter().map(|o| &o.guarded).collect();
         if let Some(why) = descriptors::look(hub, &all_guarded, &mut self.turns) {
             last::cannot_go_on(hub, why);
         }
         let counts: Vec<(u64, u64)> = self.all_observed.iter().map(Observed::counts).collect();
         let busy = || -> Vec<&Guarded> {
             let those = |is: fn(&Observed) -> bool| {
-                self.all_observed.iter().filter(move |c| is(c)).map(|c| &c.guarded)
+                self.all_observed.iter().filter(move |o| is(o)).map(|o| &o.guarded)
             };
             let commanded: Vec<&Guarded> = those(Observed::commanded).collect();
             if commanded.is_empty() { those(Observed::entered).collect() } else { commanded }
@@ -160,7 +160,7 @@ impl Rounds {
     /// Takes another list of components; keeps the knowledge about those that stay.
     fn take(&mut self, all_guarded: Vec<Guarded>) {
         let before = std::mem::take(&mut self.all_observed).into_iter();
-        let mut before: HashMap<u32, Observed> = before.map(|c| (c.guarded.instance.number, c)).collect();
+        let mut before: HashMap<u32, Observed> = before.map(|o| (o.guarded.instance.number, o)).collect();
         self.all_observed = all_guarded
             .into_iter()
             .map(|guarded| match before.remove(&guarded.instance.number) {
@@ -174,7 +174,7 @@ impl Rounds {
     /// Raises its priority above the highest real-time priority of a component, where the machine allows it.
     fn rise(&mut self) {
         let highest =
-            self.all_observed.iter().map(|c| c.guarded.executor.settings.priority()).max().unwrap_or(0);
+            self.all_observed.iter().map(|o| o.guarded.executor.settings.priority()).max().unwrap_or(0);
         if highest == 0 || highest < self.priority {
             return;
         }
@@ -186,11 +186,11 @@ impl Rounds {
 
     /// Time of the next look, ns.
     fn next_ns(&self, now_ns: u64) -> u64 {
-        let running = self.all_observed.iter().map(|c| &c.guarded.instance).filter(|i| i.is_active());
+        let running = self.all_observed.iter().map(|o| &o.guarded.instance).filter(|i| i.is_active());
         let shortest = running.map(|i| i.pace_ns()).min().unwrap_or(LOOK_NS.1);
         let crowd_ns = self.all_observed.len() as u64 * LOOK_EACH_NS;
         let pause_ns = shortest.clamp(LOOK_NS.0, LOOK_NS.1).max(crowd_ns);
-        let ends = self.all_observed.iter().filter_map(|c| c.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
+        let ends = self.all_observed.iter().filter_map(|o| o.next_end_ns(now_ns)).min().unwrap_or(u64::MAX);
         ends.max(now_ns + SOONEST_NS.max(crowd_ns)).min(now_ns + pause_ns)
     }
 }

@@ -7,7 +7,7 @@ use trocar_model::{Field, StructType};
 use trocar_plugin_api::abi::{EXECUTED, Tick};
 
 use super::super::boundary::counting;
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Steps that are watched.
@@ -48,7 +48,7 @@ impl Behaviour for Watched {
         Ok(())
     }
 
-    fn command(&self, _: u32, own: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, own: &Own) -> Result<(), String> {
         *self.device.lock().unwrap() = Some(*own);
         Ok(())
     }

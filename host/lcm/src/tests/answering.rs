@@ -2,7 +2,7 @@
 //!
 //! Promise: no caller is told of a failure before the state shows it.
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Panics in the entry of this name.
@@ -28,7 +28,7 @@ impl Behaviour for Panics {
     fn resume(&self) -> Result<(), String> {
         self.pass("resume")
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.pass("command")
     }
 }

@@ -28,7 +28,7 @@ impl Pair {
         let dir = tempfile::tempdir().unwrap();
         let socket = |name: &str| Some(dir.path().join(name));
         let left = World::with(names[0], classes, socket("left.sock"));
-        let right = World::with(names[1], Arc::new(FakeClasses), socket("right.sock"));
+        let right = World::with(names[1], Arc::new(PuppetClasses), socket("right.sock"));
         Pair { left, right, _dir: dir }
     }
 
@@ -110,7 +110,7 @@ impl Behaviour for Looks {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_every_component_shows_is_of_now_in_a_step_of_another_process_too() {
-    let pair = Pair::of(["ap_looks", "ap_shows"], Arc::new(FakeClasses));
+    let pair = Pair::of(["ap_looks", "ap_shows"], Arc::new(PuppetClasses));
     let system = trocar_loader::system::interface();
     let functions: Vec<_> = system.commands.iter().map(|c| (c.name.as_str(), c.ret.clone())).collect();
     let (client, server) = (class(requires(&functions), Safety::None), class(Ports::default(), Safety::None));
@@ -196,7 +196,7 @@ impl Behaviour for Reads {
 async fn reading(names: [&'static str; 2], arg: u64, present: bool) -> (Pair, Arc<Reads>) {
     let (client, server) = classes();
     let classes: Arc<dyn Classes> =
-        if present { Arc::new(KnownClasses(Arc::new(server.clone()))) } else { Arc::new(FakeClasses) };
+        if present { Arc::new(KnownClasses(Arc::new(server.clone()))) } else { Arc::new(PuppetClasses) };
     let (pair, reads) = (Pair::of(names, classes), Reads::with(arg));
     pair.right.create_as("server", server.clone(), periodic(1000), Arc::new(Steps::default())).await;
     pair.left.create_as("client", client.clone(), periodic(1000), reads.clone()).await;

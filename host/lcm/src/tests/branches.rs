@@ -408,8 +408,8 @@ async fn shared_memory_that_has_seen_too_many_pools_is_made_anew_and_every_slot_
     world.start("filter").await;
     let cameras: Vec<String> = (0..20).map(|n| format!("camera{n}")).collect();
     for (number, name) in (2..).zip(&cameras) {
-        let fake = Arc::new(Camera::default());
-        world.create_as(name, class(frames(false, true), Safety::None), periodic(1000), fake).await;
+        let camera = Arc::new(Camera::default());
+        world.create_as(name, class(frames(false, true), Safety::None), periodic(1000), camera).await;
         let wire = world.wire(number, "filter/in", &format!("{name}/out"), shared.clone());
         world.apply(Change::Connect { connection: wire.clone() }).await.unwrap();
         world.start(name).await;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE};
 
 use super::super::boundary::inside;
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::super::context;
 use super::*;
 
@@ -18,7 +18,7 @@ struct Called {
 }
 
 impl Behaviour for Called {
-    fn command(&self, _: u32, own: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, own: &Own) -> Result<(), String> {
         *self.device.lock().unwrap() = Some(*own);
         self.commands.fetch_add(1, Ordering::SeqCst);
         Ok(())

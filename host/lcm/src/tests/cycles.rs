@@ -7,7 +7,7 @@ use std::thread;
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::executor::Cycle;
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::super::cycle::{self, Follow, Member};
 use super::super::{context, instance::Instance};
 use super::filters::counted;
@@ -40,7 +40,7 @@ impl Behaviour for Acting {
         Ok(())
     }
 
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.act();
         Ok(())
     }

@@ -7,7 +7,7 @@ use std::thread;
 
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Tick, WOULD_BLOCK};
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Counts its steps and writes its name into a log.
@@ -174,7 +174,7 @@ struct Called {
 }
 
 impl Behaviour for Called {
-    fn command(&self, _: u32, own: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, own: &Own) -> Result<(), String> {
         *self.device.lock().unwrap() = Some(*own);
         self.commands.fetch_add(1, Ordering::SeqCst);
         Ok(())
@@ -364,7 +364,7 @@ impl Behaviour for Held {
     fn step(&self, tick: &Tick, own: &Own) -> Result<(), String> {
         self.named.step(tick, own)
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         let gate = self.gate.lock().unwrap();
         gate.0.send(()).unwrap();
         gate.1.recv().map_err(|e| e.to_string())

@@ -7,7 +7,7 @@ use trocar_model::{OnFailure, Queue};
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::executor::Cycle;
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::super::cycle::{self, Follow, Member};
 use super::super::{context, instance::Instance};
 use super::*;
@@ -20,7 +20,7 @@ const BURST: u64 = 200;
 struct Source(Mutex<u64>);
 
 impl Behaviour for Source {
-    fn command(&self, _: u32, own: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, own: &Own) -> Result<(), String> {
         let mut written = self.0.lock().unwrap();
         let until = if *written == 0 { 1 } else { *written + BURST };
         for n in *written..until {

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, channel};
 
 use trocar_plugin_api::abi::{QUEUE_FULL, Tick, WOULD_BLOCK};
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Counts its steps; panics at one of them.
@@ -102,7 +102,7 @@ async fn whoever_asks_for_services_from_its_step_is_named_with_how_often() {
 struct Hangs(Mutex<Receiver<()>>);
 
 impl Behaviour for Hangs {
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         // The test lets go, or has ended.
         let _ = self.0.lock().unwrap().recv();
         Ok(())

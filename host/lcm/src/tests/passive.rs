@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_plugin_api::abi::{EXECUTED, QUEUED, Tick};
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::standing::Held;
 use super::*;
 
@@ -38,7 +38,7 @@ struct Server {
 }
 
 impl Behaviour for Server {
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.ran.fetch_add(1, Ordering::SeqCst);
         assert!(!self.panics, "the reason");
         Ok(())

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use trocar_plugin_api::abi::Tick;
 
-use super::super::boundary::puppet::{Own, set_umask};
+use super::super::boundary::puppet::{ArgRet, Own, set_umask};
 use super::*;
 
 /// Marks the process made for the test.
@@ -28,7 +28,7 @@ impl Behaviour for Strays {
     fn start(&self) -> Result<(), String> {
         self.strike("start")
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.strike("command")
     }
 }
@@ -49,7 +49,7 @@ impl Behaviour for Closes {
     fn start(&self) -> Result<(), String> {
         self.strike("start")
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.strike("command")
     }
 }

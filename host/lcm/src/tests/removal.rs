@@ -266,7 +266,7 @@ struct Children {
 }
 
 impl Behaviour for Children {
-    fn configure(&self, _: &str) -> Result<(), String> {
+    fn configure(&self, _: &str, _: &Own) -> Result<(), String> {
         if self.early { self.raise() } else { Ok(()) }
     }
     fn start(&self) -> Result<(), String> {

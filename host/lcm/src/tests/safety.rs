@@ -8,7 +8,7 @@ use trocar_model::StopReason;
 use trocar_plugin_api::abi::{QUEUE_FULL, QUEUED, Tick};
 
 use super::super::News;
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Stays inside its first step or command until the test lets go.
@@ -47,7 +47,7 @@ impl Behaviour for Gate {
         self.pass("step");
         Ok(())
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.pass("command");
         Ok(())
     }
@@ -155,8 +155,8 @@ async fn actuators_of_a_thread_that_broke_down_are_made_safe_on_it_and_nobody_wa
 struct Passive(Arc<Gate>, Arc<Arm>);
 
 impl Behaviour for Passive {
-    fn command(&self, id: u32, own: &Own) -> Result<(), String> {
-        self.0.command(id, own)
+    fn command(&self, id: u32, data: ArgRet, own: &Own) -> Result<(), String> {
+        self.0.command(id, data, own)
     }
     fn make_safe(&self) -> Result<(), String> {
         self.1.make_safe()
@@ -322,7 +322,7 @@ impl Behaviour for Sends {
 struct Refuses;
 
 impl Behaviour for Refuses {
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         Err("no paper".into())
     }
 }

@@ -8,7 +8,7 @@ use trocar_plugin_api::abi::{
 };
 
 use super::super::boundary::counting;
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::super::{ReplyTo, Services};
 use super::*;
 
@@ -74,7 +74,7 @@ impl Behaviour for Asks {
         if self.fail_in_step.load(Ordering::Relaxed) { Err("told to".into()) } else { Ok(()) }
     }
 
-    fn command(&self, _: u32, own: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, own: &Own) -> Result<(), String> {
         *self.device.lock().unwrap() = Some(*own);
         if !self.from_step.load(Ordering::Relaxed) {
             self.ask(own, REQUEST);

@@ -11,7 +11,7 @@ use trocar_model::{Handler, StopReason};
 use trocar_plugin_api::abi::{EXECUTED, NOT_ACTIVE, Outcome, Tick};
 
 use super::super::When;
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Stays inside the first entry of one kind until the test lets go; counts later entries.
@@ -76,7 +76,7 @@ impl Behaviour for Held {
         self.steps.fetch_add(1, Ordering::SeqCst);
         self.pass("step")
     }
-    fn command(&self, _: u32, own: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, own: &Own) -> Result<(), String> {
         *self.device.lock().unwrap() = Some(*own);
         self.pass("command")
     }

@@ -9,7 +9,7 @@ use trocar_model::StopReason;
 use trocar_plugin_api::abi::Tick;
 use trocar_rt::os;
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::*;
 
 /// Time between two looks at a change that comes by itself.
@@ -73,7 +73,7 @@ impl Behaviour for Stuck {
         self.pass("step");
         Ok(())
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.pass("command");
         Ok(())
     }
@@ -185,7 +185,7 @@ struct Configured {
 }
 
 impl Behaviour for Configured {
-    fn configure(&self, json: &str) -> Result<(), String> {
+    fn configure(&self, json: &str, _: &Own) -> Result<(), String> {
         self.given.lock().unwrap().push(json.into());
         let door = self.door.lock().unwrap().take();
         door.into_iter().for_each(|door| door.recv().unwrap());
@@ -269,7 +269,7 @@ impl Panics {
 }
 
 impl Behaviour for Panics {
-    fn configure(&self, _: &str) -> Result<(), String> {
+    fn configure(&self, _: &str, _: &Own) -> Result<(), String> {
         self.strike("configure")
     }
     fn start(&self) -> Result<(), String> {
@@ -284,7 +284,7 @@ impl Behaviour for Panics {
     fn step(&self, _: &Tick, _: &Own) -> Result<(), String> {
         self.strike("step")
     }
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         self.strike("command")
     }
 }

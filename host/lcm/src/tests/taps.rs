@@ -12,7 +12,7 @@ use trocar_plugin_api::abi::Tick;
 use trocar_rt::mailbox::{EntryHead, Overflow, Push};
 use trocar_rt::os;
 
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::super::inbox::ENTRY_COMMAND;
 use super::*;
 
@@ -43,7 +43,7 @@ impl<const N: usize> Taker<N> {
 struct Moody(AtomicBool);
 
 impl Behaviour for Moody {
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         if self.0.load(Ordering::SeqCst) { Err("not now".into()) } else { Ok(()) }
     }
 }

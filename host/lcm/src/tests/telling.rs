@@ -11,7 +11,7 @@ use trocar_plugin_api::abi::Tick;
 use trocar_rt::mailbox::Mailbox;
 
 use super::super::News;
-use super::super::boundary::puppet::Own;
+use super::super::boundary::puppet::{ArgRet, Own};
 use super::super::boundary::{EventSink, Tap};
 use super::super::instance::Instance;
 use super::*;
@@ -191,7 +191,7 @@ async fn who_hangs_and_cannot_be_made_safe_from_another_thread_either_is_named_w
 struct Clumsy;
 
 impl Behaviour for Clumsy {
-    fn command(&self, _: u32, _: &Own) -> Result<(), String> {
+    fn command(&self, _: u32, _: ArgRet, _: &Own) -> Result<(), String> {
         panic!("first");
     }
     fn make_safe(&self) -> Result<(), String> {

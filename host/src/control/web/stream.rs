@@ -95,9 +95,8 @@ fn part(jpeg: Vec<u8>) -> Bytes {
 fn selection(query: &str, shown: impl FnOnce() -> Option<String>) -> Result<v1::Selection, String> {
     let (mut path, mut width, mut eye) = (None, WIDTH_PX, v1::Eye::Left);
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
-        let bad = || {
-            format!("{pair:?} is none of path=host/camera/image, width=640, in px, eye=left, right or both")
-        };
+        let bad =
+            || format!("{pair:?} is none of path=host/camera/image, width=640 (px), eye=left, right or both");
         match pair.split_once('=').ok_or_else(bad)? {
             // Names have no other character that is written like this.
             ("path", value) => path = Some(value.replace("%2F", "/").replace("%2f", "/")),

@@ -39,7 +39,8 @@ class Call {
   known = new Map<string, bigint>();
 
   constructor(
-    public paths: Set<string>,
+    /// What is followed, and of pairs the image that was asked for.
+    public paths: Map<string, Eye>,
     public before: Call | null,
   ) {
     this.held = before ? [] : null;
@@ -135,7 +136,7 @@ class Live {
       this.#end();
       return;
     }
-    const call = (this.#now = new Call(new Set(selections.map((s) => s.path)), this.#now));
+    const call = (this.#now = new Call(new Map(selections.map((s) => [s.path, s.eye])), this.#now));
     const onHeader = () => {
       for (const s of selections) this.refused.delete(s.path);
       if (call.before) this.#takeOverSoon(call, MOST_TOGETHER / TOGETHER);
@@ -196,7 +197,10 @@ class Live {
     }
     this.#newest.set(item.path, item.stampNs);
     if (item.skipped > 0n) this.skipped.set(item.path, (this.skipped.get(item.path) ?? 0) + Number(item.skipped));
-    for (const wish of this.#wishes.get(item.path) ?? []) wish.take(item);
+    for (const wish of this.#wishes.get(item.path) ?? []) {
+      // A call that goes on beside the one of a new wish shows the eye of the old one.
+      if (wish.eye === undefined || wish.eye === call.paths.get(item.path)) wish.take(item);
+    }
   }
 
   /// What is refused now may be there later.

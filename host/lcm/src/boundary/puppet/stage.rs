@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::ffi::c_void;
 use std::ptr::{from_ref, null_mut};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64, Ordering};
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -23,14 +23,14 @@ pub(crate) struct Stage {
     pub(super) behaviour: Arc<dyn Behaviour>,
     host: *const HostTable,
     pub(super) ports: AtomicPtr<Ports>,
+    pub(super) destroyed: AtomicBool,
     pub(crate) state: AtomicU64,
     /// Values that its entries noted.
     seen: Mutex<Vec<u64>>,
 }
 
-// SAFETY: the host's table may be used from any thread, also after the instance is gone.
-unsafe impl Send for Stage {}
-// SAFETY: see `Send`.
+// SAFETY: the host's table and the tables of ports may be used from any thread, also after the instance is
+// gone; which table of ports is the present one is an atomic.
 unsafe impl Sync for Stage {}
 
 /// Result of a call.
@@ -54,14 +54,21 @@ pub(crate) struct Shown {
 
 unsafe extern "C" fn collect(ctx: *mut c_void, bytes: Bytes) {
     // SAFETY: the String of `described`.
-    unsafe { &mut *ctx.cast::<String>() }.push_str(&lent(bytes));
+    let text = unsafe { &mut *ctx.cast::<String>() };
+    // SAFETY: lent for the call.
+    text.push_str(unsafe { lent(bytes) });
 }
 
 impl Stage {
     pub(super) fn made(name: &str, behaviour: Arc<dyn Behaviour>, host: *const HostTable) -> &'static Stage {
-        let (ports, state) = (AtomicPtr::new(null_mut()), AtomicU64::new(0));
-        let stage: &Stage =
-            Box::leak(Box::new(Stage { behaviour, host, ports, state, seen: Mutex::default() }));
+        let stage: &Stage = Box::leak(Box::new(Stage {
+            behaviour,
+            host,
+            ports: AtomicPtr::new(null_mut()),
+            destroyed: AtomicBool::new(false),
+            state: AtomicU64::new(0),
+            seen: Mutex::default(),
+        }));
         STAGES.lock().get_or_insert_default().insert(name.to_owned(), stage);
         stage
     }
@@ -77,7 +84,7 @@ impl Stage {
     }
 
     pub(crate) fn host(&self) -> &HostTable {
-        // SAFETY: the host's table outlives the instance.
+        // SAFETY: the host keeps its table for handles that outlive the instance (`boundary/remains.rs`).
         unsafe { &*self.host }
     }
 

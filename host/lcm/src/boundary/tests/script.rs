@@ -10,7 +10,7 @@ use trocar_model::ComponentId;
 use trocar_plugin_api::abi::*;
 
 pub(super) use super::super::puppet::Stage;
-use super::super::puppet::{Behaviour, ENTRIES, Own, Table, behave, entry};
+use super::super::puppet::{ArgRet, Behaviour, ENTRIES, Own, Table, behave, entry};
 
 type Act = Box<dyn Fn(&Stage) -> Status + Send + Sync>;
 type Told = Box<dyn Fn(&Stage, u32, u64) -> Status + Send + Sync>;
@@ -39,13 +39,14 @@ static SCRIPTS: LazyLock<Mutex<HashMap<String, Arc<Script>>>> = LazyLock::new(De
 fn ends(status: Status) -> Result<(), String> {
     match status {
         STATUS_PANICKED => panic!("as the test wants"),
-        failed if failed < STATUS_OK => Err("as the test wants".into()),
-        _ => Ok(()),
+        STATUS_FAILED => Err("as the test wants".into()),
+        STATUS_OK => Ok(()),
+        other => unreachable!("no script ends with {other}"),
     }
 }
 
 impl Behaviour for Script {
-    fn set_up(&self, _json: &str, own: &Own) -> Result<(), String> {
+    fn configure(&self, _json: &str, own: &Own) -> Result<(), String> {
         self.configure.as_ref().map_or(Ok(()), |f| ends(f(own)))
     }
 
@@ -53,13 +54,13 @@ impl Behaviour for Script {
         self.step.as_ref().map_or(Ok(()), |f| ends(f(own)))
     }
 
-    fn answer(&self, id: u32, arg: *const c_void, ret: *mut c_void, own: &Own) -> Result<(), String> {
+    fn command(&self, id: u32, data: ArgRet, own: &Own) -> Result<(), String> {
         // SAFETY: the first command of each interface is void; all others of the tests take one u64.
-        let arg = if id.is_multiple_of(4) { 0 } else { unsafe { arg.cast::<u64>().read() } };
+        let arg = if id.is_multiple_of(4) { 0 } else { unsafe { data.arg.cast::<u64>().read() } };
         match self.command.as_ref().map_or(Ok(0), |f| f(own, id, arg)) {
             Ok(value) if id % 4 >= 2 => {
                 // SAFETY: the third and fourth of each interface return a u64.
-                unsafe { ret.cast::<u64>().write(value) };
+                unsafe { data.ret.cast::<u64>().write(value) };
                 Ok(())
             }
             answer => ends(answer.err().unwrap_or(STATUS_OK)),

@@ -14,7 +14,7 @@ use trocar_rt::os;
 
 use super::super::Guarded;
 use super::{Found, ROUND_NS, Round, Visits, blocked, look_at_directory, mask};
-use crate::boundary::puppet::{Behaviour, FakeClasses, behave, class};
+use crate::boundary::puppet::{Behaviour, PuppetClasses, behave, class};
 use crate::watchdog::Watchdog;
 use crate::{Lcm, LcmConfig, LocalLcm};
 
@@ -41,7 +41,7 @@ fn idle() -> Box<Component> {
 async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_gets_its_own_back() {
     let config = LcmConfig {
         process: Name::parse("hy_mask").unwrap(),
-        classes: Some(Arc::new(FakeClasses)),
+        classes: Some(Arc::new(PuppetClasses)),
         links: None,
         lock_memory: false,
         allow_exec: false,
@@ -83,7 +83,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
 async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
     let config = LcmConfig {
         process: Name::parse("hy_round").unwrap(),
-        classes: Some(Arc::new(FakeClasses)),
+        classes: Some(Arc::new(PuppetClasses)),
         links: None,
         lock_memory: false,
         allow_exec: false,

@@ -9,7 +9,7 @@ use super::super::lateness::WAKING_NS;
 use super::super::observed::LEAVE_NS;
 use super::super::strangers::lists;
 use super::*;
-use crate::boundary::puppet::{Behaviour, FakeClasses, behave, class};
+use crate::boundary::puppet::{Behaviour, PuppetClasses, behave, class};
 use crate::{Lcm, LcmConfig, LocalLcm};
 
 const MS: u64 = 1_000_000;
@@ -38,7 +38,7 @@ impl Behaviour for Idle {}
 async fn stopped(process: &str, count: usize) -> (Arc<LocalLcm>, Roster) {
     let config = LcmConfig {
         process: Name::parse(process).unwrap(),
-        classes: Some(Arc::new(FakeClasses)),
+        classes: Some(Arc::new(PuppetClasses)),
         links: None,
         lock_memory: false,
         allow_exec: false,
