@@ -122,6 +122,12 @@ fn own(this: *mut c_void) -> Own {
     own
 }
 
+/// Runs an entry of an instance, which is looked at before panics are caught.
+fn entered(this: *mut c_void, err: *mut ErrBuf, f: impl FnOnce(&Own) -> Result<(), String>) -> Status {
+    let own = own(this);
+    entry(err, || f(&own))
+}
+
 unsafe extern "C" fn create(host: *const HostTable, name: Bytes, _err: *mut ErrBuf) -> *mut c_void {
     // SAFETY: lent for the call.
     let name = unsafe { lent(name) };
@@ -141,7 +147,7 @@ unsafe extern "C" fn destroy(this: *mut c_void) {
 unsafe extern "C" fn configure(this: *mut c_void, json: Bytes, err: *mut ErrBuf) -> Status {
     // SAFETY: lent for the call.
     let json = unsafe { lent(json) };
-    entry(err, || own(this).behaviour.configure(json, &own(this)))
+    entered(this, err, |own| own.behaviour.configure(json, own))
 }
 
 unsafe extern "C" fn describe(this: *mut c_void, sink: *const Sink) -> Status {
@@ -163,7 +169,7 @@ unsafe extern "C" fn on_event(
     payload: *const c_void,
     err: *mut ErrBuf,
 ) -> Status {
-    entry(err, || own(this).behaviour.on_event(id, payload, &own(this)))
+    entered(this, err, |own| own.behaviour.on_event(id, payload, own))
 }
 
 unsafe extern "C" fn bind(this: *mut c_void, ports: *const Ports, _err: *mut ErrBuf) -> Status {
@@ -172,25 +178,25 @@ unsafe extern "C" fn bind(this: *mut c_void, ports: *const Ports, _err: *mut Err
 }
 
 unsafe extern "C" fn start(this: *mut c_void, err: *mut ErrBuf) -> Status {
-    entry(err, || own(this).behaviour.start())
+    entered(this, err, |own| own.behaviour.start())
 }
 
 unsafe extern "C" fn stop(this: *mut c_void, err: *mut ErrBuf) -> Status {
-    entry(err, || own(this).behaviour.stop())
+    entered(this, err, |own| own.behaviour.stop())
 }
 
 unsafe extern "C" fn resume(this: *mut c_void, err: *mut ErrBuf) -> Status {
-    entry(err, || own(this).behaviour.resume())
+    entered(this, err, |own| own.behaviour.resume())
 }
 
 unsafe extern "C" fn make_safe(this: *mut c_void, err: *mut ErrBuf) -> Status {
-    entry(err, || own(this).behaviour.make_safe())
+    entered(this, err, |own| own.behaviour.make_safe())
 }
 
 unsafe extern "C" fn step(this: *mut c_void, tick: *const Tick, err: *mut ErrBuf) -> Status {
     // SAFETY: the host lends the tick for the call.
     let tick = unsafe { &*tick };
-    entry(err, || own(this).behaviour.step(tick, &own(this)))
+    entered(this, err, |own| own.behaviour.step(tick, own))
 }
 
 unsafe extern "C" fn command(
@@ -200,7 +206,7 @@ unsafe extern "C" fn command(
     ret: *mut c_void,
     err: *mut ErrBuf,
 ) -> Status {
-    entry(err, || own(this).behaviour.command(id, ArgRet { arg, ret }, &own(this)))
+    entered(this, err, |own| own.behaviour.command(id, ArgRet { arg, ret }, own))
 }
 
 /// Qualified reads from u64 to u64.
@@ -225,7 +231,7 @@ unsafe extern "C" fn read(
 unsafe extern "C" fn on_service(this: *mut c_void, token: u64, reply: Bytes) -> Status {
     // SAFETY: lent for the call.
     let reply = unsafe { lent(reply) };
-    entry(null_mut(), || own(this).behaviour.on_service(token, reply))
+    entered(this, null_mut(), |own| own.behaviour.on_service(token, reply))
 }
 
 /// A table that lives as long as the tests.
