@@ -212,10 +212,12 @@ fn a_pool_of_more_frames_than_there_may_be_is_refused_with_the_limit() {
         let told =
             scene.enter("start", &json!({ "slots": slots })).map(|f| f.to_string()).unwrap_or_default();
         assert!(told.contains("reserve answered -5"), "INVALID_ARGUMENT for {slots}: {told}");
-        let said = scene.host.printed();
-        let named =
-            said.lines().any(|l| l.contains(&format!("{slots} frames")) && l.contains("at most 4096"));
-        assert!(named, "{said}");
+        // Lines of components are printed by a thread of their own.
+        eventually("the log names the limit", || {
+            let (said, asked) = (scene.host.printed(), format!("{slots} frames"));
+            let named = said.lines().any(|line| line.contains(&asked) && line.contains("at most 4096"));
+            if named { Ok(()) } else { Err(said) }
+        });
         scene.remove();
     }
     assert_eq!(scene.enter("start", &json!({ "slots": 4096 })).map(|f| f.to_string()), None);
