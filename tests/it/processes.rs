@@ -19,6 +19,8 @@ mod isolated;
 mod numbers;
 #[path = "processes/refusals.rs"]
 mod refusals;
+#[path = "processes/stopping.rs"]
+mod stopping;
 #[path = "processes/system.rs"]
 pub(crate) mod system;
 #[path = "processes/timed.rs"]

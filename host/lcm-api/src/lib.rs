@@ -14,8 +14,12 @@ use tokio::sync::{broadcast, mpsc};
 use trocar_links::Card;
 use trocar_model::{
     Change, ClassInfo, ComponentId, Connection, End, Health, MemberId, Phase, Ports, Proxy, Refusal, State,
-    StepTimes, Warnings,
+    StepTimes, Target, Warnings,
 };
+
+mod order;
+
+pub use order::{Decision, Lease, Order};
 
 /// The owner of one process's components.
 #[async_trait]
@@ -25,8 +29,16 @@ pub trait Lcm: Send + Sync {
     ///
     /// # Errors
     /// ComponentRefused, ComponentFault, the plugin refusals, LcmTimeout; the change is then undone as far as
-    /// it got.
-    async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal>;
+    /// it got. WrongState for a Start or Resume that a Stop decided later holds off.
+    async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal>;
+
+    /// Stops all that the targets name. From the first moment on no Start or Resume that was decided earlier
+    /// sets any of it in motion, also what is only being made: such a one takes itself back. Waits for no
+    /// other order, and one component that cannot be stopped keeps no other from being stopped.
+    ///
+    /// # Errors
+    /// The process cannot be told.
+    async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal>;
 
     /// Makes the half of a connection to another process; for a client, linked to the other one.
     ///
@@ -79,6 +91,33 @@ pub trait Lcm: Send + Sync {
     fn news(&self) -> broadcast::Receiver<News>;
 }
 
+/// What is to stand still.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stop {
+    pub targets: Vec<Target>,
+    /// Number of the last [`StoppedHere`] that the orderer knows of: from now on `Order::decision` holds off
+    /// what that one held off.
+    pub known_here: u64,
+}
+
+/// Stops that the process was asked for itself, past its GCM, which the GCM has not answered with a Stop of
+/// its own yet. Until then nothing that they name is set in motion.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StoppedHere {
+    /// Counts up with each of them; 0: there is none.
+    pub number: u64,
+    pub targets: Vec<Target>,
+}
+
+/// A component that a Stop named.
+#[derive(Clone, Debug)]
+pub struct Halted {
+    pub id: ComponentId,
+    /// Its state when the Stop came.
+    pub was: State,
+    pub done: Result<Report, Refusal>,
+}
+
 /// A connection with one end in this process, and the facts needed about the other end.
 #[derive(Clone, Debug)]
 pub struct RemoteEnd {
@@ -127,6 +166,7 @@ pub enum News {
     Half(HalfReport),
     /// Warnings of the process itself; they replace the earlier ones.
     Warnings(Warnings),
+    StoppedHere(StoppedHere),
 }
 
 /// State of the half of a connection to another process.
@@ -147,6 +187,9 @@ pub struct Inventory {
     /// Halves of connections to other processes.
     pub halves: Vec<HalfReport>,
     pub warnings: Warnings,
+    /// The last decision of which it has an order: the GCM counts on from there.
+    pub decision: Decision,
+    pub stopped_here: StoppedHere,
 }
 
 /// One line a component or the host logged.

@@ -12,6 +12,7 @@ use trocar_model::{ComponentId, Name};
 use trocar_rt::wake::Waker;
 
 use super::concern::{self, Concern};
+use super::latches::Latches;
 use super::logs::LogRing;
 use super::readers::Readers;
 use super::request_queue::RequestQueue;
@@ -37,6 +38,8 @@ pub(super) struct Hub {
     pub(super) reports: AtomicU64,
     /// Warnings of the process itself.
     pub(super) warnings: Mutex<BTreeMap<Concern, String>>,
+    /// The Stops that were ordered.
+    pub(super) latches: Latches,
 }
 
 impl Hub {
@@ -52,6 +55,7 @@ impl Hub {
             retired: Mutex::default(),
             reports: AtomicU64::new(0),
             warnings: Mutex::default(),
+            latches: Latches::default(),
         })
     }
 

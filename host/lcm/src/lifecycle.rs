@@ -2,6 +2,7 @@
 //!
 //! Invariant: an entry that fails leaves the component in FAULT, safe; one that refuses leaves it as it was.
 
+use trocar_lcm_api::Order;
 use trocar_model::{ComponentId, Refusal, State, StopReason};
 use trocar_plugin_api::abi::{NOT_ACTIVE, STATUS_FAILED, STATUS_INVALID};
 
@@ -88,30 +89,54 @@ fn too_late(stands: State) -> EntryError {
     EntryError::new(STATUS_FAILED, format!("it took so long that it is {stands}"))
 }
 
-pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
+/// What a Start or Resume came to.
+pub(super) enum Ran {
+    Runs,
+    /// It was taken back, for this reason: a Stop came, or nobody waits for it any more.
+    HeldOff(&'static str),
+}
+
+pub(super) type RunResult = Result<Ran, (&'static str, EntryError)>;
+
+/// Tells why a component is not to be set in motion any more.
+fn held_off(instance: &Instance, order: &Order) -> Option<&'static str> {
+    if order.lease.has_ended() {
+        return Some("the GCM was lost while this was being carried out");
+    }
+    instance.hub.latches.hold_off(&instance.id, order.decision)
+}
+
+pub(super) fn start(instance: &Instance, entered: &mut Entered<'_>, order: &Order) -> RunResult {
+    if let Some(why) = held_off(instance, order) {
+        return Ok(Ran::HeldOff(why));
+    }
     instance.refuse_queued(NOT_ACTIVE);
     instance.books.steps.reset(instance.period_ns());
     let inner = entered.inner();
     inner.cycle_at_start = inner.cycle;
     inner.on_trial = CALLS_ON_TRIAL;
     inner.started = true;
-    run(instance, entered, "start", |e| e.start())
+    run(instance, entered, order, "start", |e| e.start())
 }
 
 /// A component that was made anew since it ran last has nothing to go on with: it is started.
-pub(super) fn resume(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
+pub(super) fn resume(instance: &Instance, entered: &mut Entered<'_>, order: &Order) -> RunResult {
     if !entered.inner().started {
-        return start(instance, entered);
+        return start(instance, entered, order);
     }
-    run(instance, entered, "resume", |e| e.resume())
+    if let Some(why) = held_off(instance, order) {
+        return Ok(Ran::HeldOff(why));
+    }
+    run(instance, entered, order, "resume", |e| e.resume())
 }
 
 fn run(
     instance: &Instance,
     entered: &mut Entered<'_>,
+    order: &Order,
     entry: &'static str,
     f: fn(&mut Entered<'_>) -> Result<(), EntryError>,
-) -> EntryResult {
+) -> RunResult {
     let inner = entered.inner();
     (inner.last_begin_ns, inner.to_stop) = (0, true);
     instance.set_going(false);
@@ -121,8 +146,16 @@ fn run(
         return Err((entry, e));
     }
     instance.publish_state(entered);
+    if let Some(why) = held_off(instance, order) {
+        stop(instance, entered)?;
+        return Ok(Ran::HeldOff(why));
+    }
     if instance.set_state_from(from, State::Active, "") {
-        return Ok(());
+        // A Stop notes itself before it looks: either it sees the component ACTIVE, or it is seen here.
+        return match held_off(instance, order) {
+            None => Ok(Ran::Runs),
+            Some(why) => stop(instance, entered).map(|()| Ran::HeldOff(why)),
+        };
     }
     // Another thread has set the state meanwhile, because this took too long: the component does not begin to
     // run after that.

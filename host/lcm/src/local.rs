@@ -21,8 +21,8 @@ use async_trait::async_trait;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{broadcast, mpsc, oneshot};
 use trocar_lcm_api::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, PluginInfo, RemoteEnd, Reply, Report,
-    Sample, Selection, When,
+    Detail, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, LogLine, News, Order, PluginInfo, RemoteEnd,
+    Reply, Report, Sample, Selection, Stop, When,
 };
 use trocar_loader::system;
 use trocar_model::{
@@ -251,7 +251,8 @@ impl LocalLcm {
             held.closed = true;
             held.components.keys().cloned().collect()
         };
-        let stops = ids.iter().map(|id| self.run_verb(id, Verb::Stop, deadline));
+        let order = Order::from(deadline);
+        let stops = ids.iter().map(|id| self.run_verb(id, Verb::Stop, &order));
         for (id, done) in ids.iter().zip(join_all(stops).await) {
             if let Err(refusal) = done {
                 log::error!("{id} could not be stopped at shutdown: {refusal}");
@@ -330,15 +331,16 @@ impl LocalLcm {
         self.slot(id).map(|s| s.instance)
     }
 
-    /// Runs `f` inside the component on its own thread and waits for it until the deadline.
+    /// Runs `f` inside the component on its own thread and waits for it until the deadline, or until the
+    /// orderer is gone.
     async fn inside<R: Send + 'static>(
         &self,
         slot: &Slot,
         entry: Entry,
-        deadline: Instant,
+        order: &Order,
         f: impl FnOnce(&Instance, &mut Entered<'_>) -> R + Send + 'static,
     ) -> Result<R, Refusal> {
-        self.inside_or(slot, entry, deadline, f, |_, _, _| ()).await
+        self.inside_or(slot, entry, order, f, |_, _, _| ()).await
     }
 
     /// As `inside`; when `f` returns only after its caller has given up, `undo` reverts it, so that the
@@ -347,28 +349,40 @@ impl LocalLcm {
         &self,
         slot: &Slot,
         entry: Entry,
-        deadline: Instant,
+        order: &Order,
         f: impl FnOnce(&Instance, &mut Entered<'_>) -> R + Send + 'static,
         undo: impl FnOnce(&Instance, &mut Entered<'_>, R) + Send + 'static,
     ) -> Result<R, Refusal> {
         let (tell, mut told) = oneshot::channel();
         let decided = Arc::new(AtomicBool::new(false));
+        let deadline = order.deadline;
         let until_ns = os::now_ns().saturating_add(
             u64::try_from(deadline.saturating_duration_since(Instant::now()).as_nanos())
                 .unwrap_or(u64::MAX / 2),
         );
         let errand = Errand { instance: slot.instance.clone(), entry, until_ns, decided: decided.clone() };
         slot.executor.submit(move |_| errand.run(tell, f, undo));
-        match tokio::time::timeout_at(deadline.into(), &mut told).await {
-            Ok(Ok(result)) => return Ok(result),
-            Ok(Err(_)) => {}
+        let given_up = async {
+            tokio::select! {
+                () = tokio::time::sleep_until(deadline.into()) => {}
+                () = order.lease.ended() => {}
+            }
+        };
+        let done = tokio::select! {
+            biased;
+            done = &mut told => Some(done),
+            () = given_up => None,
+        };
+        match done {
+            Some(Ok(result)) => return Ok(result),
+            Some(Err(_)) => {}
             // The work ended in this very moment: its result is on the way.
-            Err(_) if decided.swap(true, Ordering::AcqRel) => {
+            None if decided.swap(true, Ordering::AcqRel) => {
                 if let Ok(result) = told.await {
                     return Ok(result);
                 }
             }
-            Err(_) => {}
+            None => {}
         }
         Err(Refusal::LcmTimeout {
             process: self.hub.process.clone(),
@@ -462,16 +476,17 @@ impl Shows for LocalLcm {
 
 #[async_trait]
 impl Lcm for LocalLcm {
-    async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal> {
+    async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
+        let deadline = order.deadline;
         let stood =
             self.instance(self.about(&change)).map(|instance| instance.warnings()).unwrap_or_default();
         let done = match change {
-            Change::Create { id, component } => self.create(id, component, deadline).await,
+            Change::Create { id, component } => self.create(id, component, &order).await,
             Change::Destroy { id, .. } => self.destroy(&id, deadline).await,
             Change::Configure { id, to, from_state, to_state, .. } => {
-                self.configure(&id, &to, (from_state, to_state), deadline).await
+                self.configure(&id, &to, (from_state, to_state), &order).await
             }
-            Change::Run { id, verb, .. } => self.run_verb(&id, verb, deadline).await,
+            Change::Run { id, verb, .. } => self.run_verb(&id, verb, &order).await,
             Change::Connect { connection } => self.wire(connection, deadline).await,
             Change::Disconnect { connection, replaced } => {
                 let number = connection.id.0;
@@ -492,6 +507,10 @@ impl Lcm for LocalLcm {
             report.warnings.retain(|warning| !stood.contains(warning));
             report
         })
+    }
+
+    async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
+        Ok(self.halt(&stop, &order).await)
     }
 
     async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
@@ -564,6 +583,8 @@ impl Lcm for LocalLcm {
             classes: self.classes.as_ref().map_or_else(Vec::new, |c| self.offered(c.as_ref())),
             halves: self.carriers.halves().flat_map(|halves| halves.reports()).collect(),
             warnings: concern::told(&self.hub.warnings.lock()),
+            decision: self.hub.latches.seen(),
+            stopped_here: self.hub.latches.stopped_here(),
         })
     }
 

@@ -23,6 +23,7 @@ mod rewiring;
 mod safety;
 mod services;
 mod standing;
+mod stopping;
 mod supervision;
 mod taps;
 mod telling;
@@ -73,7 +74,7 @@ impl World {
     }
 
     async fn apply(&self, change: Change) -> Result<Report, Refusal> {
-        self.lcm.apply(change, Instant::now() + PATIENCE).await
+        self.lcm.apply(change, (Instant::now() + PATIENCE).into()).await
     }
 
     async fn create_as(

@@ -72,6 +72,12 @@ impl Pattern {
         glob(self.process.as_bytes(), id.process.as_str().as_bytes())
             && glob(self.component.as_bytes(), id.component.as_str().as_bytes())
     }
+
+    /// Returns the pattern for the components of one process alone; `None`: it matches none there.
+    fn within(&self, process: &Name) -> Option<Pattern> {
+        let matches = glob(self.process.as_bytes(), process.as_str().as_bytes());
+        matches.then(|| Pattern { process: process.as_str().into(), component: self.component.clone() })
+    }
 }
 
 /// `*` matches any run of bytes, also an empty one. Linear: it only ever goes back to the last star.
@@ -101,6 +107,29 @@ fn glob(pattern: &[u8], text: &[u8]) -> bool {
 pub enum Target {
     One(ComponentId),
     Glob(Pattern),
+}
+
+impl Target {
+    /// Every component of every process.
+    pub fn everything() -> Target {
+        Target::Glob(Pattern::all())
+    }
+
+    /// Tells whether the target names the component.
+    pub fn names(&self, id: &ComponentId) -> bool {
+        match self {
+            Target::One(one) => one == id,
+            Target::Glob(pattern) => pattern.matches(id),
+        }
+    }
+
+    /// Returns the target for the components of one process alone; `None`: it names none there.
+    pub fn within(&self, process: &Name) -> Option<Target> {
+        match self {
+            Target::One(id) => (id.process == *process).then(|| self.clone()),
+            Target::Glob(pattern) => pattern.within(process).map(Target::Glob),
+        }
+    }
 }
 
 impl fmt::Display for Name {

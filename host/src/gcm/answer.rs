@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use trocar_lcm_api::Report;
-use trocar_model::{ComponentId, Plan, Refusal, Skipped};
+use trocar_model::{Plan, Refusal, Skipped, Target};
 
 use super::text;
 
@@ -35,8 +35,8 @@ pub struct Executed {
     pub revision: u64,
     pub plan: Plan,
     pub reports: Vec<Report>,
-    /// Components a Stop could not stop; the others are stopped.
-    pub failed: Vec<(ComponentId, Refusal)>,
+    /// What a Stop named and could not stop; the others are stopped.
+    pub failed: Vec<(Target, Refusal)>,
     /// Differences from a system file that no request ends, and who can end them.
     pub left: Vec<String>,
 }

@@ -17,7 +17,7 @@ use super::sessions::Sessions;
 
 /// Tells whether nothing of the process is known to run. A process that is here and gets its components back
 /// is RESTARTING, too.
-fn has_ended(process: &Process, is_here: bool) -> bool {
+pub(super) fn has_ended(process: &Process, is_here: bool) -> bool {
     match process.state {
         _ if is_here => false,
         ProcessState::Failed | ProcessState::Restarting => true,

@@ -1,20 +1,19 @@
 //! Plans being carried out: the part of the system each has to itself, and its changes one by one.
 //!
-//! Invariant: a started component is entered in the graph before the marks of Stops are looked at, so no
-//! component moves that a Stop named meanwhile. A component that hangs and is to go is not waited for.
+//! Invariant: what a Stop named after the request came is not begun to be set in motion any more, and undoing
+//! sets no actuator in motion. A component that hangs and is to go is not waited for.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-use trocar_lcm_api::Report;
+use trocar_lcm_api::{Order, Report};
 use trocar_model::{
-    Change, ComponentId, Health, Plan, Refusal, Request, State, StopReason, SystemGraph, Verb, allowed,
-    inverse,
+    Change, ComponentId, Health, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph, Verb,
+    allowed, inverse,
 };
 
 use super::answer::Executed;
-use super::changes::{HUNG, UNDO, id_of, names};
+use super::changes::{HUNG, UNDO, id_of};
 use super::claims::{Claim, Part, Planned};
 use super::{Gcm, text};
 
@@ -25,10 +24,8 @@ pub(super) struct Carrying<'a> {
 }
 
 impl<'a> Carrying<'a> {
-    pub(super) fn begin(gcm: &'a Gcm, claim: Claim<'a>, plan: &Plan) -> Carrying<'a> {
-        let carrying = Carrying { gcm, claim };
-        carrying.goes_on(plan);
-        carrying
+    pub(super) fn begin(gcm: &'a Gcm, claim: Claim<'a>) -> Carrying<'a> {
+        Carrying { gcm, claim }
     }
 
     /// Carries out this plan, too.
@@ -36,17 +33,7 @@ impl<'a> Carrying<'a> {
     /// # Errors
     /// PartTaken: it touches what another request has.
     pub(super) fn widen(&self, plan: &Plan, is_whole: bool) -> Result<(), Refusal> {
-        self.claim.widen(plan, is_whole)?;
-        self.goes_on(plan);
-        Ok(())
-    }
-
-    fn goes_on(&self, plan: &Plan) {
-        let moves = |change: &&Change| {
-            matches!(change, Change::Run { from: State::Active, .. } | Change::Run { to: State::Active, .. })
-        };
-        let moving: BTreeSet<_> = plan.changes.iter().filter(moves).map(|c| id_of(c).clone()).collect();
-        self.claim.marks(|marks| marks.moving.extend(moving));
+        self.claim.widen(plan, is_whole)
     }
 
     /// Carries out all changes of the plan in `done`, or none of them.
@@ -72,24 +59,35 @@ impl<'a> Carrying<'a> {
         Ok(())
     }
 
-    /// Takes the done changes back.
+    /// Takes the done changes back, but for one thing: an actuator that was stopped stays stopped.
     pub(super) async fn undo(&self, done: &[Change]) {
         let undo = inverse(&Plan { changes: done.to_vec(), skipped: Vec::new() });
         for change in undo.changes {
+            if self.sets_actuator_in_motion(&change) {
+                log::warn!("{} stays stopped: what is taken back sets no actuator in motion", id_of(&change));
+                continue;
+            }
             if let Err(refusal) = self.one(&change, Instant::now() + UNDO).await {
                 log::error!("undoing it ({}): {refusal}", text::line(&change));
             }
         }
     }
 
+    fn sets_actuator_in_motion(&self, change: &Change) -> bool {
+        let Change::Run { id, to: State::Active, .. } = change else { return false };
+        let graph = self.gcm.graph();
+        graph.components.get(id).is_none_or(|component| component.class.safety == Safety::Actuator)
+    }
+
     /// Carries out one change. A component that a Stop named meanwhile is not set in motion, or not left so.
     /// A component that hangs and is to be stopped or removed is not waited for.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
         self.claim.doing(text::asked(change));
+        let order = Order { decision: self.claim.decision(), ..Order::from(deadline) };
         let Change::Run { id, verb, to: State::Active, .. } = change else {
             return tokio::select! {
                 biased;
-                done = self.gcm.one(change, deadline) => done,
+                done = self.gcm.one(change, order) => done,
                 refusal = self.given_up(change) => Err(refusal),
             };
         };
@@ -98,36 +96,31 @@ impl<'a> Carrying<'a> {
         let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to };
         let done = tokio::select! {
             biased;
-            done = self.gcm.one(change, deadline) => done,
+            done = self.gcm.one(change, order) => done,
             refusal = self.given_up(change) => {
                 // The caller is told that the component stands still only when its Stop is done or known to
                 // hang.
-                if let Err(e) = self.gcm.one(&stop, Instant::now() + HUNG).await {
+                if let Err(e) = self.gcm.one(&stop, (Instant::now() + HUNG).into()).await {
                     log::error!("{} was given up: {e}", text::asked(change));
                 }
                 return Err(refusal);
             }
         };
-        let report = match done {
-            Ok(report) => report,
+        // A Stop that came meanwhile is held against it by the LCM.
+        match done {
             Err(refusal @ Refusal::LcmTimeout { .. }) => {
                 // The start may still be done, late; no caller may be told that it failed and see the
                 // component move. The Stop is not waited for: the caller's time is over.
                 let gcm = self.gcm.clone();
-                tokio::spawn(async move { gcm.one(&stop, Instant::now() + UNDO).await });
-                return Err(refusal);
+                tokio::spawn(async move { gcm.one(&stop, (Instant::now() + UNDO).into()).await });
+                Err(refusal)
             }
-            Err(refusal) => return Err(refusal),
-        };
-        if let Err(refusal) = self.not_stopped(id, *verb) {
-            self.gcm.one(&stop, Instant::now() + UNDO).await?;
-            return Err(refusal);
+            done => done,
         }
-        Ok(report)
     }
 
     fn not_stopped(&self, id: &ComponentId, verb: Verb) -> Result<(), Refusal> {
-        if !self.claim.marks(|marks| marks.stops.iter().any(|target| names(target, id))) {
+        if !self.claim.marks(|marks| marks.stops.iter().any(|target| target.names(id))) {
             return Ok(());
         }
         let state = State::Stopped(StopReason::Requested);
@@ -170,6 +163,35 @@ impl<'a> Carrying<'a> {
 }
 
 impl Gcm {
+    /// Tells the requests under way which components are removed by force: those that hang are not waited
+    /// for. Returns the component to be removed, when the request is nothing else.
+    ///
+    /// # Errors
+    /// There is no such component. One that is only just being made is not waited for.
+    pub(super) fn give_way<'r>(
+        &self,
+        requests: &'r [Request],
+        validate_only: bool,
+    ) -> Result<Option<&'r ComponentId>, Refusal> {
+        if validate_only {
+            return Ok(None);
+        }
+        let forced = requests.iter().filter_map(|r| match r {
+            Request::Remove { id, force: true } => Some(id),
+            _ => None,
+        });
+        let ids: Vec<&ComponentId> = forced.collect();
+        if ids.is_empty() {
+            return Ok(None);
+        }
+        let alone = if let [Request::Remove { id, .. }] = requests { Some(id) } else { None };
+        if let Some(id) = alone {
+            self.graph().component(id)?;
+        }
+        self.inner.claims.mark(|marks| marks.removed.extend(ids.iter().copied().cloned()));
+        Ok(alone)
+    }
+
     /// The right to do what `plan` makes of the graph.
     ///
     /// # Errors

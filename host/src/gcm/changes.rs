@@ -1,11 +1,11 @@
-//! Facts about single changes: whose LCM carries one out, whom a request names, and the times that changes
-//! get beside the deadline of their request.
+//! Facts about single changes: whose LCM carries one out, and the times that changes get beside the deadline
+//! of their request.
 //!
 //! Invariant: pure; whatever asks an LCM for changes takes its times from here.
 
 use std::time::Duration;
 
-use trocar_model::{Change, ComponentId, Target};
+use trocar_model::{Change, ComponentId};
 
 /// Time a rollback gets for each change, beyond the request's own deadline.
 pub(super) const UNDO: Duration = Duration::from_secs(2);
@@ -13,7 +13,7 @@ pub(super) const UNDO: Duration = Duration::from_secs(2);
 pub(super) const HUNG: Duration = Duration::from_secs(1);
 
 /// Returns the component whose LCM carries the change out.
-pub(super) fn id_of(change: &Change) -> &ComponentId {
+pub(crate) fn id_of(change: &Change) -> &ComponentId {
     match change {
         Change::Create { id, .. }
         | Change::Destroy { id, .. }
@@ -22,13 +22,5 @@ pub(super) fn id_of(change: &Change) -> &ComponentId {
         Change::Connect { connection } | Change::Disconnect { connection, .. } => {
             &connection.client.component
         }
-    }
-}
-
-/// Tells whether a target names the component.
-pub(super) fn names(target: &Target, id: &ComponentId) -> bool {
-    match target {
-        Target::One(one) => one == id,
-        Target::Glob(pattern) => pattern.matches(id),
     }
 }

@@ -10,11 +10,15 @@ use std::time::Instant;
 
 use parking_lot::Mutex;
 use tokio::sync::watch;
+use trocar_lcm_api::Decision;
 use trocar_model::{
     Change, ComponentId, Pattern, Plan, Refusal, Request, SystemGraph, Target, Verb, Which, host_of,
 };
 
 use super::changes::id_of;
+
+/// No GCM has decided so much more than the one after it.
+const AHEAD: u64 = 1 << 32;
 
 /// Part of the system that a request touches.
 #[derive(Clone, Debug, Default)]
@@ -133,9 +137,7 @@ impl From<Plan> for Planned {
 /// Wishes of other requests towards one that is being carried out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Marks {
-    /// Components the plan, or undoing it, sets in motion.
-    pub(super) moving: BTreeSet<ComponentId>,
-    /// Stops given meanwhile.
+    /// Stops that came after it.
     pub(super) stops: Vec<Target>,
     /// Components that are to be removed whatever becomes of the request.
     pub(super) removed: BTreeSet<ComponentId>,
@@ -156,7 +158,15 @@ struct Entry {
 struct List {
     /// In the order of arrival.
     entries: Vec<Entry>,
-    next: u64,
+    /// Number of the last request, a Stop or another one: their place among all decisions.
+    last: u64,
+}
+
+impl List {
+    fn decide(&mut self) -> u64 {
+        self.last += 1;
+        self.last
+    }
 }
 
 /// The requests that wait or are being carried out.
@@ -172,14 +182,36 @@ impl Claims {
         self.news.subscribe()
     }
 
-    /// Tells those being carried out something; true when one of them is concerned, as `tell` says.
-    pub(super) fn mark(&self, mut tell: impl FnMut(&mut Marks) -> bool) -> bool {
-        let mut concerned = false;
+    /// Tells those being carried out something.
+    pub(super) fn mark(&self, mut tell: impl FnMut(&mut Marks)) {
         for entry in self.list.lock().entries.iter_mut().filter(|e| e.under_way) {
-            concerned |= tell(&mut entry.marks);
+            tell(&mut entry.marks);
         }
         self.news.send_replace(());
-        concerned
+    }
+
+    /// Decides a Stop: requests that came before it, under way or waiting, set nothing in motion any more
+    /// that it names.
+    pub(super) fn decide_stop(&self, targets: &[Target]) -> Decision {
+        let mut list = self.list.lock();
+        let decision = Decision(list.decide());
+        for entry in &mut list.entries {
+            entry.marks.stops.extend(targets.iter().cloned());
+        }
+        drop(list);
+        self.news.send_replace(());
+        decision
+    }
+
+    /// Counts on from a decision that a process has seen: of a GCM before this one. One that no GCM can have
+    /// come to is not taken, since numbers do not come back.
+    pub(super) fn count_on(&self, seen: Decision) {
+        let mut list = self.list.lock();
+        if seen.0.saturating_sub(list.last) <= AHEAD {
+            list.last = list.last.max(seen.0);
+        } else {
+            log::warn!("a process says that it has seen decision {}, which nobody has come to", seen.0);
+        }
     }
 
     /// Waits for a part of the system and takes it in the step that plans.
@@ -208,8 +240,7 @@ impl Claims {
 
     fn queue(&self, part: Part) -> Claim<'_> {
         let mut list = self.list.lock();
-        let number = list.next;
-        list.next += 1;
+        let number = list.decide();
         let (marks, doing) = (Marks::default(), "another request".to_owned());
         list.entries.push(Entry { number, part, under_way: false, marks, doing });
         Claim { claims: self, number }
@@ -232,6 +263,11 @@ impl Drop for Claim<'_> {
 impl Claim<'_> {
     pub(super) fn news(&self) -> watch::Receiver<()> {
         self.claims.news()
+    }
+
+    /// Its place among all decisions.
+    pub(super) fn decision(&self) -> Decision {
+        Decision(self.number)
     }
 
     /// Looks at, or changes, the wishes of other requests.

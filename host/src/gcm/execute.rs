@@ -27,7 +27,12 @@ impl Gcm {
     /// Whatever the plan or a component refuses; then what was done is undone. A Stop goes on over failures.
     pub async fn execute(&self, requests: Vec<Request>, options: ExecuteOptions) -> Answer {
         let deadline = options.until();
-        self.once(&requests, &options, deadline, self.audited(&requests, &options, deadline)).await
+        let answer = self.audited(&requests, &options, deadline);
+        // The answer to a Stop is what stands still now, not what did when somebody asked that before.
+        if is_stop(&requests) {
+            return answer.await;
+        }
+        self.once(&requests, &options, deadline, answer).await
     }
 
     /// Carries the requests out, unless the same was asked under its id before.
@@ -71,8 +76,7 @@ impl Gcm {
         options: &ExecuteOptions,
         deadline: Instant,
     ) -> Answer {
-        let stop_only = !requests.is_empty() && requests.iter().all(|r| matches!(r, Request::Stop { .. }));
-        let answer = if stop_only {
+        let answer = if is_stop(requests) {
             self.stop(requests, options.validate_only, deadline).await
         } else {
             self.change(requests, options, deadline).await
@@ -135,7 +139,7 @@ impl Gcm {
         }
         let waiting = &requests[at_once.load(Ordering::Relaxed)..];
         // The part is kept until the request has its revision.
-        let carrying = Carrying::begin(self, claim, &done.plan);
+        let carrying = Carrying::begin(self, claim);
         self.carry_out(&carrying, waiting, isolated, &mut done, deadline).await?;
         warn_bereft(&graph, &mut done);
         done.revision = self.accepted();
@@ -165,6 +169,10 @@ impl Gcm {
         self.end_isolated(not_used).await;
         made
     }
+}
+
+fn is_stop(requests: &[Request]) -> bool {
+    !requests.is_empty() && requests.iter().all(|request| matches!(request, Request::Stop { .. }))
 }
 
 /// Warns, in the reports, of the actuators that run in `graph` and lose what they require.

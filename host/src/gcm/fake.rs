@@ -13,14 +13,15 @@ use serde_json::json;
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::timeout;
 use trocar_lcm_api::{
-    Detail, HalfReport, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News, PluginInfo, Reply,
-    Report, Sample, Selection, When,
+    Decision, Detail, HalfReport, Halted, Inventory, Invoke, Item, ItemKind, Lcm, LinkDetail, LogLine, News,
+    Order, PluginInfo, Reply, Report, Sample, Selection, Stop, StoppedHere, When,
 };
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
     Arg, Change, ClassInfo, Command, CommandKind, ComponentId, Connection, End, Execution, ExecutionLimits,
     ExecutionModel, Health, Input, Name, Output, Overflow, Phase, PortType, Ports, Prim, Programs, Provided,
-    Proxy, Refusal, Required, Safety, State, StepTimes, SystemGraph, Tag, Type, Warnings,
+    Proxy, Refusal, Required, Safety, State, StepTimes, StopReason, SystemGraph, Tag, Type, Verb, Warnings,
+    allowed,
 };
 
 use super::{Gcm, text};
@@ -45,6 +46,10 @@ pub(crate) struct FakeLcm {
     fault: Mutex<BTreeSet<String>>,
     /// Changes in the middle of which the process goes away.
     lose: Mutex<BTreeSet<String>>,
+    /// Stops that were ordered: a Start that was decided before one that names its component is refused.
+    stops: Mutex<Vec<(Stop, Decision)>>,
+    /// What it was asked to stop itself.
+    pub(crate) stopped_here: Mutex<StoppedHere>,
     /// Changes that wait for [`FakeLcm::release`].
     held: Mutex<BTreeSet<String>>,
     released: watch::Sender<u64>,
@@ -191,6 +196,8 @@ impl FakeLcm {
             unreachable: Mutex::default(),
             fault: Mutex::default(),
             lose: Mutex::default(),
+            stops: Mutex::default(),
+            stopped_here: Mutex::default(),
             held: Mutex::default(),
             released: watch::Sender::new(0),
             waiting: watch::Sender::default(),
@@ -247,6 +254,18 @@ impl FakeLcm {
     /// Until that change has arrived and hangs.
     pub(crate) async fn hangs(&self, change: &str) {
         self.waiting.subscribe().wait_for(|w| w.contains(change)).await.unwrap();
+    }
+
+    /// The last Stop at the process itself that the GCM knows of, as its last Stop said.
+    pub(crate) fn known_here(&self) -> Option<u64> {
+        self.stops.lock().last().map(|(stop, _)| stop.known_here)
+    }
+
+    /// Until a Stop was ordered.
+    pub(crate) async fn is_told_to_stop(&self) {
+        while self.known_here().is_none() {
+            tokio::task::yield_now().await;
+        }
     }
 
     pub(crate) fn done(&self) -> Vec<String> {
@@ -334,7 +353,7 @@ fn report(id: &ComponentId, state: State) -> Report {
 
 #[async_trait]
 impl Lcm for FakeLcm {
-    async fn apply(&self, change: Change, _: Instant) -> Result<Report, Refusal> {
+    async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
         let asked = text::asked(&change);
         let mut released = self.released.subscribe();
         while self.held.lock().contains(&asked) {
@@ -360,6 +379,15 @@ impl Lcm for FakeLcm {
             return Err(Refusal::ComponentFault { id, text });
         }
         let mut states = self.states.lock();
+        if let Change::Run { verb, to: State::Active, .. } = &change {
+            let stops = self.stops.lock();
+            let names = |stop: &Stop| stop.targets.iter().any(|target| target.names(&id));
+            if stops.iter().any(|(stop, decision)| names(stop) && *decision > order.decision) {
+                let state = states.get(&id).copied().unwrap_or(State::Created);
+                let why = "it was stopped while this was being carried out".to_owned();
+                return Err(Refusal::WrongState { id, state, verb: *verb, allowed: allowed(state), why });
+            }
+        }
         match change {
             Change::Create { component, .. } => states.insert(id.clone(), component.state),
             Change::Destroy { .. } => states.remove(&id),
@@ -378,6 +406,37 @@ impl Lcm for FakeLcm {
         Ok(Report { ports, ..report(&id, now) })
     }
 
+    /// Waits for a Start under way of what is named, as an LCM does.
+    async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
+        let named = |id: &ComponentId| stop.targets.iter().any(|target| target.names(id));
+        self.stops.lock().push((stop.clone(), order.decision));
+        let states = self.states.lock().clone();
+        let mut halted = Vec::new();
+        for (id, was) in states.into_iter().filter(|(id, _)| named(id)) {
+            let mut released = self.released.subscribe();
+            while [Verb::Start, Verb::Resume]
+                .iter()
+                .any(|verb| self.held.lock().contains(&format!("{verb} {id}")))
+            {
+                released.changed().await.unwrap();
+            }
+            let to = State::Stopped(StopReason::Requested);
+            let moves = matches!(was, State::Active | State::Stopped(StopReason::Restarted));
+            let done = match moves {
+                true => {
+                    let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: was, to };
+                    self.apply(stop, order.clone()).await
+                }
+                false => Ok(report(&id, was)),
+            };
+            if let Err(lost @ Refusal::ProcessLost { .. }) = done {
+                return Err(lost);
+            }
+            halted.push(Halted { id, was, done });
+        }
+        Ok(halted)
+    }
+
     async fn link(&self, end: trocar_lcm_api::RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
         let connection = end.connection;
         let here = |port: &trocar_model::PortId| port.component.process == self.process;
@@ -388,7 +447,7 @@ impl Lcm for FakeLcm {
             let Connection { client, server, .. } = connection;
             return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
         }
-        let done = self.apply(Change::Connect { connection }, deadline).await?;
+        let done = self.apply(Change::Connect { connection }, deadline.into()).await?;
         let proxy =
             Proxy { process: self.process.clone(), epoch: 1, why: String::new(), carrier: "memfd".into() };
         let half = HalfReport { connection: number, end, proxy: Some(proxy) };
@@ -488,6 +547,8 @@ impl Lcm for FakeLcm {
             classes: vec![class()],
             halves: self.halves.lock().values().cloned().collect(),
             warnings: Warnings::default(),
+            decision: self.stops.lock().iter().map(|(_, decision)| *decision).max().unwrap_or_default(),
+            stopped_here: self.stopped_here.lock().clone(),
         })
     }
 

@@ -87,10 +87,11 @@ impl Gcm {
 
     /// Asks the LCM for all it has, after some of its news was lost.
     async fn enter_inventory(&self, process: &Name, lcm: &dyn Lcm, loose: &mut Vec<Connection>) {
-        let Inventory { components, classes, halves, warnings, .. } = match lcm.inventory().await {
-            Ok(inventory) => inventory,
-            Err(refusal) => return log::warn!("the inventory of {process} cannot be had: {refusal}"),
-        };
+        let Inventory { components, classes, halves, warnings, stopped_here, .. } =
+            match lcm.inventory().await {
+                Ok(inventory) => inventory,
+                Err(refusal) => return log::warn!("the inventory of {process} cannot be had: {refusal}"),
+            };
         self.edit(|graph| {
             graph.proxies.retain(|_, half| half.process != *process);
             for half in halves {
@@ -102,6 +103,7 @@ impl Gcm {
                 (p.classes, p.warnings) = (classes, warnings);
             }
         });
+        self.heard_stop(process, stopped_here);
     }
 }
 
@@ -147,6 +149,10 @@ fn enter(
             return false;
         }
         News::Half(half) => return enter_half(graph, half),
+        News::StoppedHere(told) => {
+            gcm.heard_stop(process, told);
+            return false;
+        }
         News::Warnings(warnings) => {
             if let Some(p) = Arc::make_mut(graph).processes.get_mut(process) {
                 p.warnings = warnings;

@@ -10,11 +10,12 @@ use async_trait::async_trait;
 use parking_lot::Mutex;
 use tokio::sync::{broadcast, mpsc, watch};
 use trocar_lcm_api::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, RemoteEnd, Reply, Report, Sample,
-    Selection, When,
+    Detail, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo, RemoteEnd, Reply,
+    Report, Sample, Selection, Stop, When,
 };
 use trocar_model::{
     Change, ComponentId, Event, Function, Handler, Health, Name, Ports, Provided, Refusal, Required, State,
+    StopReason,
 };
 
 /// Most required interfaces of a guest.
@@ -178,7 +179,7 @@ fn mirror(name: &Name, provided: &Provided) -> Required {
 
 #[async_trait]
 impl Lcm for GuestLcm {
-    async fn apply(&self, change: Change, _: Instant) -> Result<Report, Refusal> {
+    async fn apply(&self, change: Change, _: Order) -> Result<Report, Refusal> {
         let mut stands = self.stands.lock();
         match change {
             Change::Create { .. } | Change::Configure { .. } => {
@@ -197,6 +198,18 @@ impl Lcm for GuestLcm {
             Change::Destroy { .. } => _ = self.removed.send_replace(true),
         }
         Ok(stands.report())
+    }
+
+    async fn stop(&self, stop: Stop, _: Order) -> Result<Vec<Halted>, Refusal> {
+        let mut stands = self.stands.lock();
+        if !stop.targets.iter().any(|target| target.names(&stands.id)) {
+            return Ok(Vec::new());
+        }
+        let was = stands.state;
+        if was == State::Active {
+            stands.state = State::Stopped(StopReason::Requested);
+        }
+        Ok(vec![Halted { id: stands.id.clone(), was, done: Ok(stands.report()) }])
     }
 
     async fn link(&self, _: RemoteEnd, _: Instant) -> Result<Report, Refusal> {

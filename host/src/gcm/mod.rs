@@ -55,6 +55,7 @@ mod tests;
 pub use answer::{ExecuteOptions, Executed};
 pub use awaiting_event::Listening;
 pub(crate) use awaiting_state::given_ns;
+pub(crate) use changes::id_of;
 pub use fate::{Fate, Told};
 pub use guests::{Guest, Joined, Requirement};
 pub use holding::Held;

@@ -83,7 +83,7 @@ impl Gcm {
             return self.unlink(&connection, false, deadline).await.map(|_| ());
         }
         let lcm = self.lcm_of(&connection.client.component.process)?;
-        lcm.apply(Change::Disconnect { connection, replaced: false }, deadline).await.map(|_| ())
+        lcm.apply(Change::Disconnect { connection, replaced: false }, deadline.into()).await.map(|_| ())
     }
 
     /// Has the LCMs cut what was taken out of the graph, should they still have it. Not waited for.

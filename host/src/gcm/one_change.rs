@@ -4,8 +4,8 @@
 
 use std::time::{Duration, Instant};
 
-use trocar_lcm_api::Report;
-use trocar_model::{Change, Component, Plan, Refusal};
+use trocar_lcm_api::{Order, Report};
+use trocar_model::{Change, Component, Name, Plan, Refusal};
 
 use super::changes::id_of;
 use super::observed::{observe, stand_by};
@@ -17,9 +17,9 @@ const GRACE: Duration = Duration::from_millis(50);
 
 impl Gcm {
     /// Carries out one change: done by the LCM, then entered in the graph.
-    pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
-        let process = &id_of(change).process;
-        let asked = async {
+    pub(super) async fn one(&self, change: &Change, order: Order) -> Result<Report, Refusal> {
+        let (process, deadline) = (&id_of(change).process, order.deadline);
+        let asking = async {
             match change {
                 Change::Connect { connection } if !connection.is_near() => {
                     self.link(connection, deadline).await
@@ -27,12 +27,11 @@ impl Gcm {
                 Change::Disconnect { connection, replaced } if !connection.is_near() => {
                     self.unlink(connection, *replaced, deadline).await
                 }
-                near => self.lcm_of(process)?.apply(near.clone(), deadline).await,
+                near => self.lcm_of(process)?.apply(near.clone(), order).await,
             }
         };
-        let asked = tokio::time::timeout_at((deadline + GRACE).into(), asked).await;
-        let timeout = || Refusal::LcmTimeout { process: process.clone(), what: text::asked(change) };
-        let report = match asked.unwrap_or_else(|_| Err(timeout())) {
+        let asked = self.in_time(process, &text::asked(change), deadline, asking).await;
+        let report = match asked {
             Ok(report) => report,
             // An LCM by itself cuts a connection that loses its port, and tells so after that: the wanted
             // change is done.
@@ -42,14 +41,36 @@ impl Gcm {
                 return Err(refusal);
             }
         };
+        self.enter_done(change, &report);
+        Ok(report)
+    }
+
+    /// Waits for an LCM as long as it may take.
+    ///
+    /// # Errors
+    /// What the LCM refuses; LcmTimeout.
+    pub(super) async fn in_time<T>(
+        &self,
+        process: &Name,
+        what: &str,
+        deadline: Instant,
+        asking: impl Future<Output = Result<T, Refusal>>,
+    ) -> Result<T, Refusal> {
+        let asked = tokio::time::timeout_at((deadline + GRACE).into(), asking).await;
+        let timeout = || Refusal::LcmTimeout { process: process.clone(), what: what.to_owned() };
+        asked.unwrap_or_else(|_| Err(timeout()))
+    }
+
+    /// Enters a change that was done.
+    pub(super) fn enter_done(&self, change: &Change, report: &Report) {
         let mut loose = Vec::new();
         self.edit(|graph| {
-            let is_newest = self.inner.sessions.lock().is_newest(&report);
+            let is_newest = self.inner.sessions.lock().is_newest(report);
             let known = graph.components.get(&report.id).cloned();
             let revision = graph.revision;
             graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
             graph.revision = revision;
-            loose = observe(graph, &report);
+            loose = observe(graph, report);
             if !is_newest {
                 stand_by(graph, &report.id, known);
             }
@@ -58,7 +79,17 @@ impl Gcm {
             self.inner.holds.lock().removed(id);
         }
         self.cut_off(loose);
-        Ok(report)
+    }
+
+    /// Enters how a component stands that was only looked at.
+    pub(super) fn enter_seen(&self, report: &Report) {
+        let mut loose = Vec::new();
+        self.edit(|graph| {
+            if self.inner.sessions.lock().is_newest(report) {
+                loose = observe(graph, report);
+            }
+        });
+        self.cut_off(loose);
     }
 
     /// Returns the known state of the client of a connection that is to be cut.

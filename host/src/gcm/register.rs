@@ -33,6 +33,8 @@ impl Gcm {
         lcm: Arc<dyn Lcm>,
         inventory: Inventory,
     ) -> Result<Registered, Refusal> {
+        self.inner.claims.count_on(inventory.decision);
+        let stopped_here = inventory.stopped_here.clone();
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
         let (asks, asked) = mpsc::channel(ASKING);
@@ -57,6 +59,7 @@ impl Gcm {
         let (gcm, lcm) = (Arc::downgrade(&self.inner), Arc::downgrade(&lcm));
         tokio::spawn(follow(gcm, who.process.clone(), session, lcm, news, asked));
         self.stop_owed(session, taken.owed);
+        self.heard_stop(&who.process, stopped_here);
         match taken.gets_back {
             Some(here) => _ = tokio::spawn(self.clone().restore(who.process, session, here)),
             None => _ = tokio::spawn(self.clone().link_missing(who.process)),

@@ -23,7 +23,7 @@ impl Gcm {
         if graph.is_guests(client) {
             // The guest calls from outside, so neither LCM has a half.
             let made = Change::Connect { connection: connection.clone() };
-            return self.lcm_of(&client.component.process)?.apply(made, deadline).await;
+            return self.lcm_of(&client.component.process)?.apply(made, deadline.into()).await;
         }
         let of_client = self.end(&graph, connection, client)?;
         let of_server = self.end(&graph, connection, server)?;
@@ -41,7 +41,7 @@ impl Gcm {
         for (lcm, end) in [(at_client, client), (at_server, server)] {
             let undo = Change::Disconnect { connection: connection.clone(), replaced: false };
             let process = &end.component.process;
-            match lcm.apply(undo, Instant::now() + UNDO).await {
+            match lcm.apply(undo, (Instant::now() + UNDO).into()).await {
                 // A half that was not made, or went with its process.
                 Ok(_) | Err(Refusal::ConnectionNotFound { .. } | Refusal::ProcessLost { .. }) => {}
                 Err(undone) => log::error!("undoing connection {} at {process}: {undone}", connection.id.0),
@@ -68,12 +68,12 @@ impl Gcm {
     ) -> Result<Report, Refusal> {
         let change = || Change::Disconnect { connection: connection.clone(), replaced };
         if self.graph().is_guests(&connection.client) {
-            return self.lcm_of(&connection.client.component.process)?.apply(change(), deadline).await;
+            return self.lcm_of(&connection.client.component.process)?.apply(change(), deadline.into()).await;
         }
         let mut told = None;
         for end in [&connection.client, &connection.server] {
             let done = match self.lcm_of(&end.component.process) {
-                Ok(lcm) => lcm.apply(change(), deadline).await,
+                Ok(lcm) => lcm.apply(change(), deadline.into()).await,
                 Err(away) => Err(away),
             };
             match (done, told.take()) {
@@ -104,7 +104,7 @@ impl Gcm {
             );
             tokio::spawn(async move {
                 let cut = Change::Disconnect { connection, replaced: false };
-                match lcm.apply(cut, Instant::now() + UNDO).await {
+                match lcm.apply(cut, (Instant::now() + UNDO).into()).await {
                     Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
                     Err(refusal) => {
                         log::error!("the half of connection {number} at {process} cannot be cut: {refusal}");

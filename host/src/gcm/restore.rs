@@ -62,7 +62,7 @@ impl Gcm {
                 }
             }
         };
-        let carrying = Carrying::begin(&self, claim, &plan);
+        let carrying = Carrying::begin(&self, claim);
         let Some(away) = self.make_again(&carrying, &plan, &process, session, &here).await else { return };
         log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
         // News told before would cover the notes.

@@ -129,6 +129,11 @@ impl Sessions {
         self.live.get(process).map(|session| session.asks.clone())
     }
 
+    /// The processes that are heard.
+    pub(super) fn heard(&self) -> Vec<Name> {
+        self.live.keys().cloned().collect()
+    }
+
     /// The session of a process that is heard.
     pub(super) fn holder(&self, process: &Name) -> Option<u64> {
         self.live.get(process).map(|s| s.number)

@@ -1,148 +1,213 @@
-//! Stop: waits for no other request, stops all it can, and wins over whatever is being started at the same
-//! time.
+//! Stop: an order to every process that could hold what it names, whatever the GCM believes of it.
 //!
-//! Invariant: a Stop is marked before it is planned, and a started component is entered in the graph before
-//! the marks are looked at; so one of the two always sees the other.
+//! Invariant: a Stop takes no part of the system, waits for no other request, and is never answered from
+//! memory. What was decided before it sets nothing in motion that it names: the LCM holds that off, and this
+//! GCM begins it no more. It is OK only for what stands still.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_lcm_api::Report;
-use trocar_model::{Change, ComponentId, Plan, ProcessState, Refusal, Request, State, Target, plan_all};
+use trocar_lcm_api::{Decision, Halted, Order, Stop, StoppedHere};
+use trocar_model::{
+    Change, ComponentId, Name, ProcessState, Refusal, Request, Skipped, State, SystemGraph, Target, Verb,
+    plan,
+};
 
+use super::Gcm;
 use super::answer::{Answer, Executed};
-use super::changes::{id_of, names};
+use super::away::has_ended;
 use super::wanted::RESTARTED;
-use super::{Gcm, text};
 
-/// Time to stop the components that were stopped while their process was away.
+/// Time to stop what was stopped while nobody could be told.
 const WITHIN: Duration = Duration::from_secs(5);
+
+/// The Stop of one request, or of a process that was asked itself.
+#[derive(Clone)]
+struct Halting {
+    targets: Arc<Vec<Target>>,
+    decision: Decision,
+    deadline: Instant,
+    /// What the process was asked for itself, as far as this answers it.
+    known_here: u64,
+}
+
+/// What became of it in one process.
+type Told = Result<Vec<Halted>, Refusal>;
 
 impl Gcm {
     /// Stops; never refused for a revision, never behind another request.
     pub(super) async fn stop(&self, requests: &[Request], validate_only: bool, deadline: Instant) -> Answer {
-        let (against, noted) = if validate_only { (false, false) } else { self.mark(requests) };
-        let first = self.stop_now(requests, validate_only, noted, deadline).await;
-        if !against {
-            return first;
-        }
-        // A start under way gives up at the mark; OK is told after that, and the second Stop covers what the
-        // first did not see.
-        let _claim = self.claim_part(requests, deadline, |_| Ok(Plan::default())).await?;
-        let second = self.stop_now(requests, false, false, deadline).await;
-        match (first, second) {
-            (Ok(first), Ok(second)) => Ok(joined(first, second)),
-            (Ok(first), Err(_)) => Ok(first),
-            (Err(_), second) => second,
-        }
-    }
-
-    /// Tells the requests under way, and later ones, of these Stops. Returns whether a change under way sets
-    /// some of these components in motion, and whether the Stops made a new revision.
-    fn mark(&self, requests: &[Request]) -> (bool, bool) {
-        let targets = requests.iter().flat_map(|r| match r {
+        let targets = requests.iter().flat_map(|request| match request {
             Request::Stop { targets } => targets.as_slice(),
             _ => &[],
         });
         let targets: Vec<Target> = targets.cloned().collect();
-        // A refused Stop changes nothing.
-        let noted = plan_all(&self.graph(), requests).is_ok() && self.keep_stopped(&targets);
-        let against = self.inner.claims.mark(|marks| {
-            marks.stops.extend(targets.iter().cloned());
-            marks.moving.iter().any(|id| targets.iter().any(|target| names(target, id)))
-        });
-        (against, noted)
-    }
-
-    /// Tells the requests under way which components are removed by force: those that hang are not waited
-    /// for. Returns the component to be removed, when the request is nothing else.
-    ///
-    /// # Errors
-    /// There is no such component. One that is only just being made is not waited for.
-    pub(super) fn give_way<'a>(
-        &self,
-        requests: &'a [Request],
-        validate_only: bool,
-    ) -> Result<Option<&'a ComponentId>, Refusal> {
+        if targets.is_empty() {
+            // Refused with what is missing.
+            plan(&self.graph(), &Request::Stop { targets: targets.clone() })?;
+        }
         if validate_only {
-            return Ok(None);
+            return would_stop(&self.graph(), &targets);
         }
-        let forced = requests.iter().filter_map(|r| match r {
-            Request::Remove { id, force: true } => Some(id),
-            _ => None,
-        });
-        let ids: BTreeSet<&ComponentId> = forced.collect();
-        if ids.is_empty() {
-            return Ok(None);
+        let counted = self.keep_stopped(&targets);
+        let decision = self.inner.claims.decide_stop(&targets);
+        let halting = Halting { targets: Arc::new(targets), decision, deadline, known_here: 0 };
+        let mut done = self.halt(&halting).await?;
+        let stopped = done.plan.changes.iter().any(|change| matches!(change, Change::Run { .. }));
+        done.revision = if stopped && !counted { self.accepted() } else { self.graph().revision };
+        match done.failed.first() {
+            Some((_, refusal)) if done.reports.is_empty() && done.plan.skipped.is_empty() => {
+                Err(refusal.clone())
+            }
+            _ => Ok(done),
         }
-        let alone = if let [Request::Remove { id, .. }] = requests { Some(id) } else { None };
-        if let Some(id) = alone {
-            self.graph().component(id)?;
-        }
-        self.inner.claims.mark(|marks| {
-            marks.removed.extend(ids.iter().copied().cloned());
-            false
-        });
-        Ok(alone)
     }
 
-    /// Stops once; `counted`: the Stop has its revision already.
-    async fn stop_now(
-        &self,
-        requests: &[Request],
-        validate_only: bool,
-        counted: bool,
-        deadline: Instant,
-    ) -> Answer {
-        let graph = self.graph();
-        let plan = plan_all(&graph, requests)?;
-        let mut done = Executed { revision: graph.revision, plan, ..Executed::default() };
-        if validate_only || done.plan.changes.is_empty() {
-            return Ok(done);
+    /// Has every process that is heard stop what is named, side by side, and says what became of the rest.
+    async fn halt(&self, halting: &Halting) -> Result<Executed, Refusal> {
+        let named = |process: &Name| {
+            halting.targets.iter().any(|target| match target {
+                Target::One(id) => id.process == *process,
+                Target::Glob(_) => true,
+            })
+        };
+        let heard = self.inner.sessions.lock().heard();
+        let orders: Vec<_> = heard
+            .into_iter()
+            .filter(named)
+            .map(|process| {
+                let (gcm, halting) = (self.clone(), halting.clone());
+                let ordered = process.clone();
+                (process, tokio::spawn(async move { gcm.halt_process(&ordered, &halting).await }))
+            })
+            .collect();
+        let (mut done, mut answered) = (Executed::default(), BTreeSet::new());
+        let mut known = BTreeSet::new();
+        for (process, order) in orders {
+            let told =
+                order.await.map_err(|e| Refusal::Internal { text: format!("stopping panicked: {e}") })?;
+            match told {
+                Ok(halted) => {
+                    known.extend(halted.iter().map(|halted| halted.id.clone()));
+                    answered.insert(process);
+                    self.note(halted, &mut done);
+                }
+                Err(refusal) => {
+                    log::error!("process {process} cannot be told to stop: {refusal}");
+                    self.not_told(&process, &refusal, halting, &mut done);
+                    answered.insert(process);
+                }
+            }
         }
-        self.stop_all(&mut done, deadline).await?;
-        done.revision = if counted { self.graph().revision } else { self.accepted() };
+        self.rest(&answered, halting, &mut done);
+        self.unknown(&known, halting, &mut done);
         Ok(done)
     }
 
-    /// Stops side by side, so that a component that hangs delays no other.
-    async fn stop_all(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
-        let stops: Vec<_> = done
-            .plan
-            .changes
-            .iter()
-            .cloned()
-            .map(|change| {
-                let gcm = self.clone();
-                tokio::spawn(async move { (gcm.stop_one(&change, deadline).await, change) })
-            })
-            .collect();
-        for stop in stops {
-            match stop.await {
-                Ok((Ok(report), _)) => done.reports.push(report),
-                Ok((Err(refusal), change)) => {
-                    log::error!("{}: {refusal}", text::asked(&change));
-                    done.failed.push((id_of(&change).clone(), refusal));
+    /// Orders one process to stop; where it is lost meanwhile and comes back, again.
+    async fn halt_process(&self, process: &Name, halting: &Halting) -> Told {
+        loop {
+            let session = self.inner.sessions.lock().holder(process);
+            let stop = Stop { targets: (*halting.targets).clone(), known_here: halting.known_here };
+            let order = Order { decision: halting.decision, ..Order::from(halting.deadline) };
+            let told = match self.lcm_of(process) {
+                Ok(lcm) => self.in_time(process, "a Stop", halting.deadline, lcm.stop(stop, order)).await,
+                Err(lost) => Err(lost),
+            };
+            let Err(lost @ Refusal::ProcessLost { .. }) = told else { return told };
+            let mut is_back = false;
+            self.edit_if(|graph| {
+                let mut sessions = self.inner.sessions.lock();
+                let holder = sessions.holder(process);
+                is_back = holder.is_some() && holder != session;
+                if !is_back {
+                    let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+                    for (id, component) in mine.filter(|(id, _)| halting.names(id)) {
+                        sessions.wanted.stop(id, component.state);
+                    }
                 }
-                Err(e) => return Err(Refusal::Internal { text: format!("stopping panicked: {e}") }),
+                false
+            });
+            if !is_back || Instant::now() >= halting.deadline {
+                return Err(lost);
             }
-        }
-        match done.failed.first() {
-            Some((_, refusal)) if done.reports.is_empty() => Err(refusal.clone()),
-            _ => Ok(()),
         }
     }
 
-    /// Notes components that are stopped and cannot be told, because their process is away. True: a component
-    /// that might have been set in motion by itself is now to stand still, and the revision is a new one, so
-    /// that no earlier decision sets it in motion.
+    /// Enters what a process has stopped.
+    fn note(&self, halted: Vec<Halted>, done: &mut Executed) {
+        for Halted { id, was, done: stopped } in halted {
+            match stopped {
+                Ok(report) if matches!(was, State::Active | RESTARTED) => {
+                    let change = Change::Run { id, verb: Verb::Stop, from: was, to: report.state };
+                    self.enter_done(&change, &report);
+                    done.plan.changes.push(change);
+                    done.reports.push(report);
+                }
+                Ok(report) => {
+                    self.enter_seen(&report);
+                    done.plan.skipped.push(stands(id, was));
+                }
+                Err(refusal) => {
+                    log::error!("Stop {id}: {refusal}");
+                    done.failed.push((Target::One(id), refusal));
+                }
+            }
+        }
+    }
+
+    /// Says what becomes of the components of a process that could not be told.
+    fn not_told(&self, process: &Name, refusal: &Refusal, halting: &Halting, done: &mut Executed) {
+        let graph = self.graph();
+        for (id, component) in graph.components.iter().filter(|(id, _)| id.process == *process) {
+            if !halting.names(id) {
+                continue;
+            }
+            if matches!(component.state, State::Active | RESTARTED) {
+                let not_told = Refusal::StopNotTold { id: id.clone(), why: refusal.to_string() };
+                done.failed.push((Target::One(id.clone()), not_told));
+            } else {
+                done.plan.skipped.push(stands(id.clone(), component.state));
+            }
+        }
+    }
+
+    /// Says what becomes of components whose process is not heard.
+    fn rest(&self, heard: &BTreeSet<Name>, halting: &Halting, done: &mut Executed) {
+        let graph = self.graph();
+        for (name, process) in graph.processes.iter().filter(|(name, _)| !heard.contains(*name)) {
+            let is_here = self.inner.sessions.lock().holder(name).is_some();
+            if !has_ended(process, is_here) {
+                self.not_told(name, &process.lost(name), halting, done);
+                continue;
+            }
+            let mine = graph.components.keys().filter(|id| id.process == *name && halting.names(id));
+            done.plan.skipped.extend(mine.map(|id| Skipped {
+                id: id.clone(),
+                why: "its process has ended; it comes back stopped".into(),
+            }));
+        }
+    }
+
+    /// Names what no process has.
+    fn unknown(&self, known: &BTreeSet<ComponentId>, halting: &Halting, done: &mut Executed) {
+        let graph = self.graph();
+        for target in halting.targets.iter().filter(|target| !known.iter().any(|id| target.names(id))) {
+            if let Err(refusal) = plan(&graph, &Request::Stop { targets: vec![target.clone()] }) {
+                done.failed.push((target.clone(), refusal));
+            }
+        }
+    }
+
+    /// Notes components that are stopped and cannot be told, because their process is away or may be about to
+    /// be started again. True: a component that might have been set in motion by itself is now to stand
+    /// still, and the revision is a new one, so that no earlier decision sets it in motion.
     pub(super) fn keep_stopped(&self, targets: &[Target]) -> bool {
         let mut noted = false;
         self.edit_if(|graph| {
             let mut sessions = self.inner.sessions.lock();
-            let stopped =
-                graph.components.iter().filter(|(id, _)| targets.iter().any(|target| names(target, id)));
+            let stopped = graph.components.iter().filter(|(id, _)| targets.iter().any(|t| t.names(id)));
             for (id, component) in stopped {
                 let there = |state: ProcessState| state == ProcessState::Attached;
                 noted |= match graph.processes.get(&id.process) {
@@ -159,27 +224,6 @@ impl Gcm {
             noted
         });
         noted
-    }
-
-    /// Stops a component. If its process goes away meanwhile, it is stopped when that process comes back.
-    pub(super) async fn stop_one(&self, stop: &Change, deadline: Instant) -> Result<Report, Refusal> {
-        let id = id_of(stop);
-        let asked = self.inner.sessions.lock().holder(&id.process);
-        let lost = match self.one(stop, deadline).await {
-            Err(lost @ Refusal::ProcessLost { .. }) => lost,
-            done => return done,
-        };
-        let mut is_back = false;
-        self.edit_if(|graph| {
-            let mut sessions = self.inner.sessions.lock();
-            let holder = sessions.holder(&id.process);
-            is_back = holder.is_some() && holder != asked;
-            if let Some(component) = graph.components.get(id).filter(|_| !is_back) {
-                sessions.wanted.stop(id, component.state);
-            }
-            false
-        });
-        if is_back { self.one(stop, deadline).await } else { Err(lost) }
     }
 
     /// Stops the components that were stopped while their process was away, which has come back as it was.
@@ -202,19 +246,64 @@ impl Gcm {
             });
         }
     }
+
+    /// Makes a Stop that a process was asked for itself one of this GCM's: what it names stays stopped, and
+    /// what is decided from now on may set it in motion again. Not waited for.
+    pub(super) fn heard_stop(&self, process: &Name, told: StoppedHere) {
+        // A process speaks for its own components.
+        let targets: Vec<Target> = told.targets.iter().filter_map(|target| target.within(process)).collect();
+        if targets.is_empty() {
+            return;
+        }
+        let names = targets.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        log::info!(target: "audit", "process {process} was asked Stop {names} at its own port, past this GCM");
+        let (gcm, process) = (self.clone(), process.clone());
+        // Whoever enters news holds the graph, under which nothing is decided.
+        tokio::spawn(async move {
+            let decision = gcm.inner.claims.decide_stop(&targets);
+            let targets = Arc::new(targets);
+            let deadline = Instant::now() + WITHIN;
+            let halting = Halting { targets, decision, deadline, known_here: told.number };
+            match gcm.halt_process(&process, &halting).await {
+                Ok(halted) => {
+                    gcm.note(halted, &mut Executed::default());
+                    gcm.accepted();
+                }
+                // It tells it again when it is back.
+                Err(refusal) => log::warn!("process {process} does not hear that its Stop counts: {refusal}"),
+            }
+        });
+    }
 }
 
-/// Joins the two passes of one Stop into one answer.
-fn joined(first: Executed, second: Executed) -> Executed {
-    let stopped = |id: &ComponentId| first.reports.iter().any(|r| r.id == *id);
-    let mut skipped = second.plan.skipped;
-    skipped.retain(|s| !stopped(&s.id));
-    let changes = first.plan.changes.into_iter().chain(second.plan.changes).collect();
-    Executed {
-        revision: second.revision,
-        plan: Plan { changes, skipped },
-        reports: first.reports.into_iter().chain(second.reports).collect(),
-        failed: second.failed,
-        left: second.left,
+impl Halting {
+    fn names(&self, id: &ComponentId) -> bool {
+        self.targets.iter().any(|target| target.names(id))
     }
+}
+
+/// What a Stop of these would do, as far as the graph tells.
+fn would_stop(graph: &SystemGraph, targets: &[Target]) -> Answer {
+    let (mut known, mut failed) = (Vec::new(), Vec::new());
+    for target in targets {
+        match plan(graph, &Request::Stop { targets: vec![target.clone()] }) {
+            Ok(_) => known.push(target.clone()),
+            Err(refusal) => failed.push((target.clone(), refusal)),
+        }
+    }
+    match failed.first() {
+        Some((_, refusal)) if known.is_empty() => Err(refusal.clone()),
+        _ => {
+            let plan = plan(graph, &Request::Stop { targets: known })?;
+            Ok(Executed { revision: graph.revision, plan, failed, ..Executed::default() })
+        }
+    }
+}
+
+fn stands(id: ComponentId, state: State) -> Skipped {
+    let why = match state {
+        State::Fault => "it was made safe when it failed",
+        _ => "nothing runs there",
+    };
+    Skipped { id, why: format!("it is {state}: {why}") }
 }

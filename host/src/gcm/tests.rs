@@ -12,6 +12,7 @@ mod keeping_stopped;
 mod phases;
 mod ports;
 mod restarted;
+mod stopping;
 
 use std::future::{Future, ready};
 use std::pin::Pin;
@@ -156,14 +157,14 @@ async fn a_stop_wins_over_a_start_in_flight() {
     lcm.hangs("Start host/a").await;
     let mut stopping = std::pin::pin!(ask(&gcm, vec![stop("host/**")]));
     begun(stopping.as_mut()).await;
+    comes("the Stop is ordered", lcm.is_told_to_stop()).await;
     lcm.release("Start host/a");
     stopping.await.unwrap();
     let refusal = starting.await.unwrap().unwrap_err();
     assert_eq!(refusal.reason(), "WRONG_STATE");
     assert!(refusal.to_string().contains("stopped while"), "{refusal}");
-    let stopped = State::Stopped(StopReason::Requested);
-    assert_eq!(lcm.state("host/a"), Some(stopped), "it moves although it was stopped: {:?}", lcm.done());
-    assert_eq!(component(&gcm.graph(), "host/a").state, stopped);
+    assert_eq!(lcm.state("host/a"), Some(State::Ready), "it moves although it was stopped: {:?}", lcm.done());
+    assert_eq!(component(&gcm.graph(), "host/a").state, State::Ready);
 }
 
 #[tokio::test]
@@ -191,7 +192,7 @@ async fn stop_stops_what_it_can_and_names_what_it_cannot() {
     lcm.refuse("Stop host/a");
     let done = ask(&gcm, vec![stop("**")]).await.unwrap();
     assert_eq!(done.failed.len(), 1);
-    assert_eq!(done.failed[0].0, id("host/a"));
+    assert_eq!(done.failed[0].0, Target::One(id("host/a")));
     assert_eq!(lcm.state("host/b"), Some(State::Stopped(StopReason::Requested)));
 }
 

@@ -21,7 +21,7 @@ use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
-use crate::lcm::{Lcm, LcmConfig, LocalLcm, LogLine, keep_descriptors, stop_active};
+use crate::lcm::{Decision, Lcm, LcmConfig, LocalLcm, LogLine, Order, Stop, keep_descriptors};
 use crate::runtime_dir::RuntimeDir;
 
 /// A running process of a system.
@@ -331,21 +331,22 @@ fn announce(name: &str, gcm: Option<Gcm>, lcm: Arc<LocalLcm>) -> Option<JoinHand
 /// Stops every component of this process: by its own GCM, or past a GCM that is elsewhere or does not answer.
 async fn stop_all(gcm: Option<Gcm>, lcm: Arc<LocalLcm>) -> Result<String, String> {
     let deadline = Instant::now() + SHUTDOWN;
-    if let Some(gcm) = gcm
-        && let Ok(target) = Target::parse("**")
-    {
+    if let Some(gcm) = gcm {
         let options = ExecuteOptions {
             deadline: Some(deadline),
             identity: "stop --all".into(),
             ..ExecuteOptions::default()
         };
-        if let Err(refusal) = gcm.execute(vec![Request::Stop { targets: vec![target] }], options).await {
+        if let Err(refusal) =
+            gcm.execute(vec![Request::Stop { targets: vec![Target::everything()] }], options).await
+        {
             log::warn!("the GCM refused to stop everything, stopping past it: {refusal}");
         }
     }
-    let lcm: Arc<dyn Lcm> = lcm;
-    let stopped = stop_active(&lcm, |_| true, deadline).await.map_err(|e| e.to_string())?;
+    let everything = Stop { targets: vec![Target::everything()], known_here: 0 };
+    let order = Order { decision: Decision::HERE, ..Order::from(deadline) };
+    let stopped = lcm.stop(everything, order).await.map_err(|e| e.to_string())?;
     let failed: Vec<_> =
-        stopped.into_iter().filter_map(|(_, done)| done.err()).map(|e| e.to_string()).collect();
+        stopped.into_iter().filter_map(|halted| halted.done.err()).map(|e| e.to_string()).collect();
     if failed.is_empty() { Ok("everything stands still".to_owned()) } else { Err(failed.join("; ")) }
 }

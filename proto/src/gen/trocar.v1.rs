@@ -2334,7 +2334,7 @@ pub struct StartResponse {
 /// Asks for Stop.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct StopRequest {
-    /// Components (process/component) or globs (host/\*\*); ordered by the graph.
+    /// Components (process/component) or globs (host/\*\*).
     #[prost(string, repeated, tag = "1")]
     pub paths: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// One more of them.
@@ -2343,10 +2343,10 @@ pub struct StopRequest {
     /// True: answer what would be done, do nothing.
     #[prost(bool, tag = "13")]
     pub validate_only: bool,
-    /// Free text; the same id within 10 minutes gets the same answer and nothing is done twice.
+    /// Free text, for the audit log: a Stop is never answered from memory.
     #[prost(string, tag = "14")]
     pub request_id: ::prost::alloc::string::String,
-    /// Refused with REVISION_CONFLICT when the graph is at another revision; unset = not checked.
+    /// Not looked at: a Stop is right at every revision.
     #[prost(uint64, optional, tag = "15")]
     pub expected_revision: ::core::option::Option<u64>,
 }
@@ -3196,8 +3196,8 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Start"));
             self.inner.unary(req, path, codec).await
         }
-        /// Stops components, clients before servers; devices are made safe. Never refused for a stale
-        /// revision.
+        /// Stops components, all at once; devices are made safe. Waits for no other request, and is refused only
+        /// where nothing of what it names can be told. A Start that was asked before it is taken back.
         pub async fn stop(
             &mut self,
             request: impl tonic::IntoRequest<super::StopRequest>,
@@ -3637,8 +3637,8 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::StartRequest>,
         ) -> std::result::Result<tonic::Response<super::StartResponse>, tonic::Status>;
-        /// Stops components, clients before servers; devices are made safe. Never refused for a stale
-        /// revision.
+        /// Stops components, all at once; devices are made safe. Waits for no other request, and is refused only
+        /// where nothing of what it names can be told. A Start that was asked before it is taken back.
         async fn stop(
             &self,
             request: tonic::Request<super::StopRequest>,
@@ -4973,6 +4973,23 @@ pub struct Inventory {
     /// True: nothing new can be made or connected in it.
     #[prost(bool, tag = "6")]
     pub unfit: bool,
+    /// Last decision of a GCM of which it has an order; the GCM that takes it in counts on from there.
+    #[prost(uint64, tag = "7")]
+    pub decision: u64,
+    /// Stops it was asked for itself that no GCM has answered yet; absent = none.
+    #[prost(message, optional, tag = "8")]
+    pub stopped_here: ::core::option::Option<StoppedHere>,
+}
+/// Stops that a process was asked for at its own port, past the GCM. Until the GCM answers them with a Stop
+/// of its own, nothing that they name is set in motion.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct StoppedHere {
+    /// Counts up with each of them.
+    #[prost(uint64, tag = "1")]
+    pub number: u64,
+    /// The components: process/component, or a pattern.
+    #[prost(string, repeated, tag = "2")]
+    pub paths: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// Status of the half of a connection to another process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -5060,8 +5077,15 @@ pub struct Order {
     /// Time left for it, ns.
     #[prost(uint64, tag = "2")]
     pub deadline_ns: u64,
+    /// Place of this among the decisions of the GCM; a later one is greater. A Start that was decided before a
+    /// Stop is not carried out after it.
+    #[prost(uint64, tag = "15")]
+    pub decision: u64,
     /// The order.
-    #[prost(oneof = "order::Order", tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14")]
+    #[prost(
+        oneof = "order::Order",
+        tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 16"
+    )]
     pub order: ::core::option::Option<order::Order>,
 }
 /// Nested message and enum types in `Order`.
@@ -5105,7 +5129,43 @@ pub mod order {
         /// Look at plugin files again; the answer lists them.
         #[prost(message, tag = "14")]
         Recheck(super::RecheckOrder),
+        /// Stop what is named, and hold off what was decided before and would set it in motion.
+        #[prost(message, tag = "16")]
+        Stop(super::StopOrder),
     }
+}
+/// Stops components, and whatever is being started or made and has such a name.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct StopOrder {
+    /// The components: process/component, or a pattern.
+    #[prost(string, repeated, tag = "1")]
+    pub paths: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Number of the last StoppedHere that the GCM knows of.
+    #[prost(uint64, tag = "2")]
+    pub known_here: u64,
+}
+/// Components that a StopOrder named.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Halted {
+    /// All that are there.
+    #[prost(message, repeated, tag = "1")]
+    pub components: ::prost::alloc::vec::Vec<HaltedComponent>,
+}
+/// A component that a StopOrder named.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct HaltedComponent {
+    /// process/component.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// Its state when the order came.
+    #[prost(message, optional, tag = "2")]
+    pub was: ::core::option::Option<State>,
+    /// Its status after it.
+    #[prost(message, optional, tag = "3")]
+    pub report: ::core::option::Option<ComponentReport>,
+    /// Why it could not be stopped; absent = it stands still.
+    #[prost(message, optional, tag = "4")]
+    pub refused: ::core::option::Option<RefusalInfo>,
 }
 /// Places in their periods of components whose phase nobody set. The answer tells how long steps take.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -5281,7 +5341,10 @@ pub struct Answer {
     #[prost(uint64, tag = "1")]
     pub id: u64,
     /// The result.
-    #[prost(oneof = "answer::Answer", tags = "2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13")]
+    #[prost(
+        oneof = "answer::Answer",
+        tags = "2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14"
+    )]
     pub answer: ::core::option::Option<answer::Answer>,
 }
 /// Nested message and enum types in `Answer`.
@@ -5325,6 +5388,9 @@ pub mod answer {
         /// Times that steps take.
         #[prost(message, tag = "13")]
         Steps(super::Steps),
+        /// Components were stopped.
+        #[prost(message, tag = "14")]
+        Halted(super::Halted),
     }
 }
 /// A subscription stands.
@@ -5367,7 +5433,7 @@ pub struct RefusalInfo {
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct News {
     /// The news.
-    #[prost(oneof = "news::News", tags = "1, 2, 3, 4, 5")]
+    #[prost(oneof = "news::News", tags = "1, 2, 3, 4, 5, 6")]
     pub news: ::core::option::Option<news::News>,
 }
 /// Nested message and enum types in `News`.
@@ -5390,6 +5456,9 @@ pub mod news {
         /// The process itself is warned of this now.
         #[prost(message, tag = "5")]
         Warnings(super::ProcessWarnings),
+        /// It was asked to stop components, past the GCM.
+        #[prost(message, tag = "6")]
+        StoppedHere(super::StoppedHere),
     }
 }
 /// Warnings about a process itself.

@@ -29,6 +29,7 @@ const NOT_YET: &[(&str, &str)] = &[
     ("BUSY", "it needs a request that is under way: helps.rs"),
     ("PART_TAKEN", "it needs a request that is under way: host/src/gcm/tests/ports.rs"),
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
+    ("STOP_NOT_TOLD", "it needs a process that stands still: processes/stopping.rs"),
     ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
     ("PROCESS_NOT_UP", "it needs a process that cannot come up: processes/isolated.rs"),

@@ -14,8 +14,10 @@ use super::system::{System, connected, freeze, kill, pid};
 fn what_is_stopped_while_its_process_stands_still_is_stopped_when_that_goes_on() {
     let two = System::up(TWO, &[]);
     let before = two.hold("right");
-    let answer = two.grpc.ok("GcmService/Stop", json!({ "path": "right/c" }));
-    assert!(answer["skipped"].to_string().contains("right/c"), "nobody could tell it: {answer}");
+    let refused = two.grpc.call("GcmService/Stop", json!({ "path": "right/c" })).unwrap_err();
+    assert_eq!(refused.reason, "STOP_NOT_TOLD", "nobody could tell it: {refused}");
+    let all = two.grpc.ok("GcmService/Stop", json!({ "paths": ["left/s", "right/c"] }));
+    assert_eq!(all["failed"][0]["path"], "right/c", "the others are stopped: {all}");
     kill("-CONT", pid(&before));
     eventually("it is stopped", || {
         let actuator = two.grpc.component("right/c");

@@ -55,7 +55,7 @@ impl Session {
         let client = if verb == Verb::Stop { self.stopping().await? } else { self.client().await? };
         let mut gcm = client.gcm;
         macro_rules! ask {
-            ($request:ident, $method:ident) => {{
+            ($request:ident, $method:ident $(, $failed:ident)?) => {{
                 let ask = v1::$request {
                     paths: paths.to_vec(),
                     validate_only: m.dry_run,
@@ -63,12 +63,13 @@ impl Session {
                     ..v1::$request::default()
                 };
                 let a = gcm.$method(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
-                outcome(a.revision, a.plan, a.components, a.skipped, a.warnings)
+                let failed: Vec<v1::SkippedComponent> = Vec::new() $(.into_iter().chain(a.$failed).collect())?;
+                with_failures(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings), failed)
             }};
         }
         Ok(match verb {
             Verb::Start => ask!(StartRequest, start),
-            Verb::Stop => with_failures(ask!(StopRequest, stop), m.dry_run),
+            Verb::Stop => ask!(StopRequest, stop, failed),
             Verb::Resume => ask!(ResumeRequest, resume),
             Verb::Reset => ask!(ResetRequest, reset),
         })
@@ -186,17 +187,10 @@ pub(super) fn timed<T>(ask: T, m: &MutationArgs) -> tonic::Request<T> {
     ask
 }
 
-/// Adds failures of a Stop, which goes on over them: a planned component without a report did not stop, and a
-/// warning says why.
-fn with_failures(mut outcome: Outcome, dry_run: bool) -> Outcome {
-    // "- stop host/robot (ACTIVE → STOPPED{requested})"
-    let planned = outcome.plan.iter().filter_map(|line| line.split(' ').nth(2)).filter(|_| !dry_run);
-    for path in planned.filter(|path| outcome.components.iter().all(|c| c.path != **path)) {
-        let prefix = format!("{path}: ");
-        let why =
-            outcome.warnings.iter().find_map(|w| w.strip_prefix(&prefix)).unwrap_or("no answer").to_owned();
-        outcome.failed.push(Left { path: path.to_owned(), why });
-    }
+/// Adds what a Stop, which goes on over failures, could not stop. Programs that do not look there are told by
+/// a warning, too.
+fn with_failures(mut outcome: Outcome, failed: Vec<v1::SkippedComponent>) -> Outcome {
+    outcome.failed = failed.into_iter().map(|f| Left { path: f.path, why: f.why }).collect();
     outcome.warnings.retain(|w| outcome.failed.iter().all(|f| *w != format!("{}: {}", f.path, f.why)));
     outcome
 }
@@ -251,9 +245,10 @@ mod tests {
     #[test]
     fn a_stop_that_left_one_running_is_partial() {
         let reports = vec![report("h/a", v1::ComponentState::Stopped)];
-        let plan = ["a", "b"].map(|name| format!("- stop h/{name} (ACTIVE → STOPPED{{requested}})")).to_vec();
+        let plan = vec!["- stop h/a (ACTIVE → STOPPED{requested})".to_owned()];
         let done = outcome(1, plan, reports, Vec::new(), vec!["h/b: it hangs".to_owned()]);
-        let done = with_failures(done, false);
+        let failed = v1::SkippedComponent { path: "h/b".into(), why: "it hangs".into() };
+        let done = with_failures(done, vec![failed]);
         assert_eq!(done.failed, [Left { path: "h/b".into(), why: "it hangs".into() }]);
         assert!(done.warnings.is_empty(), "{:?}", done.warnings);
     }

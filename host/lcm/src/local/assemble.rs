@@ -8,6 +8,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
+use trocar_lcm_api::{Halted, News, Order, Stop};
 use trocar_model::{
     ClassInfo, ComponentId, Execution, ExecutionModel, Health, Refusal, State, StopReason, Verb, allowed,
 };
@@ -19,11 +20,12 @@ use super::super::classes::Classes;
 use super::super::executor::Executor;
 use super::super::instance::{Entered, Instance};
 use super::super::lifecycle::{
-    component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure, undo_start,
+    Ran, RunResult, component_error, configure, make, reset, resume, start, stop, tell_ports, undo_configure,
+    undo_start,
 };
 use super::super::supervise::{Guarded, LEAVE_NS, Manners, Strangers, cannot_go_on, give_up};
-use super::super::watch::Entry;
-use super::{LocalLcm, Slot};
+use super::super::watch::{Busy, Entry};
+use super::{LocalLcm, Slot, join_all};
 
 fn wrong_state(id: &ComponentId, state: State, verb: Verb, why: String) -> Refusal {
     Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why }
@@ -63,7 +65,7 @@ impl LocalLcm {
         &self,
         id: ComponentId,
         component: Box<trocar_model::Component>,
-        deadline: Instant,
+        order: &Order,
     ) -> Result<Report, Refusal> {
         {
             let held = self.held();
@@ -84,7 +86,7 @@ impl LocalLcm {
             });
         };
         self.lets_in(classes.as_ref(), &component.class)?;
-        let class = self.load(classes, &component.class, &id, deadline).await?;
+        let class = self.load(classes, &component.class, &id, order.deadline).await?;
         let execution = component.execution.clone();
         let (executor, own) = self.executor_for(&id, &execution)?;
         let number = self.next_number.fetch_add(1, Ordering::Relaxed);
@@ -104,7 +106,7 @@ impl LocalLcm {
         self.roster.add(Guarded::new(instance.clone(), executor.clone()));
         self.hub.logs.name(number, Some(&id));
         let slot = Slot { instance, executor, execution, config: None, phase: None };
-        let done = self.inside(&slot, Entry::Create, deadline, make).await;
+        let done = self.inside(&slot, Entry::Create, order, make).await;
         let kept = match done {
             Ok(Ok(())) => self.take_in(id, &slot),
             // There is no component that could be in FAULT; a panic is reported as everywhere.
@@ -196,7 +198,7 @@ impl LocalLcm {
         id: &ComponentId,
         to: &serde_json::Value,
         (from_state, to_state): (State, State),
-        deadline: Instant,
+        order: &Order,
     ) -> Result<Report, Refusal> {
         let slot = self.slot(id)?;
         if to_state == State::Created {
@@ -219,7 +221,7 @@ impl LocalLcm {
                 undo_configure(instance, entered, before.as_deref(), from);
             }
         };
-        let (stands, done) = self.inside_or(&slot, Entry::Configure, deadline, work, undo).await?;
+        let (stands, done) = self.inside_or(&slot, Entry::Configure, order, work, undo).await?;
         let Some(done) = done else {
             let why = format!("it was {from_state} when this was decided");
             return Err(wrong_state(id, stands, Verb::Configure, why));
@@ -237,20 +239,17 @@ impl LocalLcm {
         &self,
         id: &ComponentId,
         verb: Verb,
-        deadline: Instant,
+        order: &Order,
     ) -> Result<Report, Refusal> {
         let slot = self.slot(id)?;
         let entry = match verb {
             Verb::Stop => {
-                // The component does not go on by itself any more.
-                let (from, to) =
-                    (State::Stopped(StopReason::Restarted), State::Stopped(StopReason::Requested));
-                slot.instance.set_state_from(from, to, "");
-                return self.stop(&slot, deadline).await;
+                goes_on_no_more(&slot);
+                return self.stop_one(&slot, order.deadline).await;
             }
             Verb::Remove => {
                 slot.instance.set_going(true);
-                return self.stop(&slot, deadline).await;
+                return self.stop_one(&slot, order.deadline).await;
             }
             Verb::Resume => Entry::Resume,
             Verb::Reset => Entry::Create,
@@ -260,11 +259,13 @@ impl LocalLcm {
         if moves && slot.instance.is_actuator() {
             still_connected(&slot.instance, verb)?;
         }
-        let (stands, done) = self.drive(&slot, verb, entry, deadline).await?;
+        let (stands, done) = self.drive(&slot, verb, entry, order).await?;
         let Some(done) = done else {
             return Err(wrong_state(id, stands, verb, "it failed before this came to its turn".into()));
         };
-        done.map_err(|(entry, e)| component_error(id, entry, e))?;
+        if let Ran::HeldOff(why) = done.map_err(|(entry, e)| component_error(id, entry, e))? {
+            return Err(wrong_state(id, slot.instance.state(), verb, why.into()));
+        }
         // The component was stopped again at once: no caller may be told that it runs.
         if moves && slot.instance.state() == State::Stopped(StopReason::PeerLost) {
             still_connected(&slot.instance, verb)?;
@@ -287,9 +288,9 @@ impl LocalLcm {
         slot: &Slot,
         verb: Verb,
         entry: Entry,
-        deadline: Instant,
-    ) -> Result<(State, Option<EntryResult>), Refusal> {
-        let config = slot.config.clone();
+        order: &Order,
+    ) -> Result<(State, Option<RunResult>), Refusal> {
+        let (config, ordered) = (slot.config.clone(), order.clone());
         let guarded = Guarded::new(slot.instance.clone(), slot.executor.clone());
         let alone = self.is_alone(slot);
         let work = move |instance: &Instance, entered: &mut Entered<'_>| {
@@ -297,22 +298,23 @@ impl LocalLcm {
             let done = match verb {
                 // The component failed while this waited for its turn.
                 Verb::Start | Verb::Resume if from == State::Fault => return (from, None),
-                Verb::Start => start(instance, entered),
-                Verb::Resume => resume(instance, entered),
-                Verb::Reset => reset(instance, entered, config.as_deref(), || outlasts(&guarded, alone)),
-                Verb::Stop | Verb::Configure | Verb::Remove => Ok(()),
+                Verb::Start => start(instance, entered, &ordered),
+                Verb::Resume => resume(instance, entered, &ordered),
+                Verb::Reset => reset(instance, entered, config.as_deref(), || outlasts(&guarded, alone))
+                    .map(|()| Ran::Runs),
+                Verb::Stop | Verb::Configure | Verb::Remove => Ok(Ran::Runs),
             };
             (from, Some(done))
         };
         let undo = move |instance: &Instance,
                          entered: &mut Entered<'_>,
-                         (from, done): (State, Option<EntryResult>)| match verb {
-            _ if done.is_none() => {}
+                         (from, done): (State, Option<RunResult>)| match verb {
+            _ if matches!(done, None | Some(Ok(Ran::HeldOff(_)))) => {}
             Verb::Start | Verb::Resume => undo_start(instance, entered, from),
             // There is no way back to the former instance; the new one does not run, and that was reported.
             _ => tell_ports(instance),
         };
-        self.inside_or(slot, entry, deadline, work, undo).await
+        self.inside_or(slot, entry, order, work, undo).await
     }
 
     /// A warning that Reset keeps the code of the Create, if the plugin's file has changed since.
@@ -334,8 +336,36 @@ impl LocalLcm {
         })
     }
 
+    /// Stops what is named now, and holds off what was decided before and would set it in motion later.
+    pub(super) async fn halt(&self, stop: &Stop, order: &Order) -> Vec<Halted> {
+        if let Some(told) = self.hub.latches.stop(stop, order.decision) {
+            // A failure is fine without listeners: the inventory has it.
+            let _ = self.hub.news.send(News::StoppedHere(told));
+        }
+        let named: Vec<(ComponentId, Slot)> = {
+            let held = self.held();
+            let is_named = |id: &ComponentId| stop.targets.iter().any(|target| target.names(id));
+            held.components
+                .iter()
+                .filter(|(id, _)| is_named(id))
+                .map(|(id, s)| (id.clone(), s.clone()))
+                .collect()
+        };
+        join_all(named.into_iter().map(async |(id, slot)| {
+            let was = slot.instance.state();
+            goes_on_no_more(&slot);
+            // A Start under way takes itself back, and is waited for.
+            let done = match runs(&slot, was) {
+                true => self.stop_one(&slot, order.deadline).await,
+                false => Ok(slot.instance.report(false)),
+            };
+            Halted { id, was, done }
+        }))
+        .await
+    }
+
     /// Acts first: no further step begins once this returns or times out.
-    async fn stop(&self, slot: &Slot, deadline: Instant) -> Result<Report, Refusal> {
+    async fn stop_one(&self, slot: &Slot, deadline: Instant) -> Result<Report, Refusal> {
         if slot.instance.is_active() {
             slot.instance.stopped(StopReason::Requested);
         }
@@ -348,9 +378,10 @@ impl LocalLcm {
             State::Stopped(_) if !entered.inner().to_stop => Ok(()),
             _ => stop(instance, entered),
         };
+        let order = Order::from(deadline);
         let done = tokio::select! {
             biased;
-            done = self.inside(slot, Entry::Stop, deadline, work) => done,
+            done = self.inside(slot, Entry::Stop, &order, work) => done,
             () = hangs(slot) => {
                 let (process, what) = (self.hub.process.clone(), format!("stop of {}", slot.instance.id));
                 Err(Refusal::LcmTimeout { process, what })
@@ -477,6 +508,18 @@ impl LocalLcm {
             "{id} is removed, but {why}: it is stopped and destroyed when that comes back, and kept until then"
         )
     }
+}
+
+/// A component that would go on by itself waits for somebody who asks.
+fn goes_on_no_more(slot: &Slot) {
+    let (from, to) = (State::Stopped(StopReason::Restarted), State::Stopped(StopReason::Requested));
+    slot.instance.set_state_from(from, to, "");
+}
+
+/// Tells whether the component runs, or its code is being started.
+fn runs(slot: &Slot, state: State) -> bool {
+    let starts = |busy: Busy| matches!(busy.entry, Entry::Start | Entry::Resume);
+    state == State::Active || slot.instance.watch.busy().is_some_and(starts)
 }
 
 /// Ends when the component has been unresponsive for so long that no caller should wait for it any more.

@@ -19,7 +19,7 @@ async fn turned_away(process: &'static str, verb: Verb) -> [Refusal; 2] {
         eventually("somebody waits", queued).await;
         let to = State::Stopped(StopReason::Requested);
         let change = Change::Run { id: world.id("c"), verb, from: State::Active, to };
-        world.lcm.apply(change, Instant::now() + Duration::from_millis(20)).await.unwrap_err();
+        world.lcm.apply(change, (Instant::now() + Duration::from_millis(20)).into()).await.unwrap_err();
     });
     let later = world.call("c").await;
     open.send(()).unwrap();

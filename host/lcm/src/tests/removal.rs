@@ -32,8 +32,11 @@ async fn a_component_removed_while_its_step_hangs_is_stopped_and_destroyed_when_
     world.start("c").await;
     held.is_inside().await;
     let gone = Arc::downgrade(&world.lcm.instance(&world.id("c")).unwrap());
-    let report =
-        world.lcm.apply(destroy(&world, "c"), Instant::now() + Duration::from_millis(20)).await.unwrap();
+    let report = world
+        .lcm
+        .apply(destroy(&world, "c"), (Instant::now() + Duration::from_millis(20)).into())
+        .await
+        .unwrap();
     assert!(
         report.warnings.iter().any(|w| w.contains("has not come back out of its own code")),
         "{report:?}"
@@ -55,7 +58,7 @@ async fn a_passive_component_removed_while_a_caller_hangs_in_it_is_destroyed_whe
     let rest = async {
         held.is_inside().await;
         let soon = Instant::now() + Duration::from_millis(20);
-        world.lcm.apply(destroy(&world, "c"), soon).await.unwrap();
+        world.lcm.apply(destroy(&world, "c"), soon.into()).await.unwrap();
         assert!(!held.destroyed.load(Ordering::SeqCst));
         open.send(()).unwrap();
     };

@@ -242,7 +242,7 @@ async fn stopping_a_component_answers_its_callers_at_once_though_its_thread_is_i
         eventually("a call that waits", || queued(&world, "arm") == 1).await;
         let id = world.id("arm");
         let stop = Change::Run { id, verb: Verb::Stop, from: State::Active, to: State::Ready };
-        world.lcm.apply(stop, Instant::now() + Duration::from_millis(20)).await
+        world.lcm.apply(stop, (Instant::now() + Duration::from_millis(20)).into()).await
     };
     let (answer, stopped) = tokio::join!(world.call("arm"), stop);
     assert!(matches!(answer, Err(Refusal::NotActive { .. })), "{answer:?}");

@@ -16,7 +16,7 @@ use super::*;
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Waits for a result that comes by itself, under the watchdog.
-async fn comes<F: Future>(what: &str, coming: F) -> F::Output {
+pub(super) async fn comes<F: Future>(what: &str, coming: F) -> F::Output {
     let (mut coming, mut watchdog) = (pin!(coming), Watchdog::of(what));
     loop {
         match tokio::time::timeout(LOOK, &mut coming).await {
@@ -28,15 +28,15 @@ async fn comes<F: Future>(what: &str, coming: F) -> F::Output {
 
 /// Stays inside the given entry until the test lets go; counts later calls.
 #[derive(Default)]
-struct Stuck {
-    entry: &'static str,
+pub(super) struct Stuck {
+    pub(super) entry: &'static str,
     door: Mutex<Option<Receiver<()>>>,
-    steps: AtomicU64,
+    pub(super) steps: AtomicU64,
     made_safe: AtomicU64,
 }
 
 impl Stuck {
-    fn in_entry(entry: &'static str) -> (Arc<Stuck>, Sender<()>) {
+    pub(super) fn in_entry(entry: &'static str) -> (Arc<Stuck>, Sender<()>) {
         let (open, door) = channel();
         (Arc::new(Stuck { entry, door: Mutex::new(Some(door)), ..Stuck::default() }), open)
     }
@@ -50,12 +50,16 @@ impl Stuck {
         }
     }
 
-    fn made_safe(&self) -> u64 {
+    pub(super) fn made_safe(&self) -> u64 {
         self.made_safe.load(Ordering::SeqCst)
     }
 }
 
 impl Behaviour for Stuck {
+    fn configure(&self, _: &str, _: &Own) -> Result<(), String> {
+        self.pass("configure");
+        Ok(())
+    }
     fn start(&self) -> Result<(), String> {
         self.pass("start");
         Ok(())
@@ -116,7 +120,8 @@ async fn a_start_that_does_not_come_back_is_named_too_and_its_caller_gets_an_ans
     world.create("stuck", periodic(1000), stuck).await;
     let id = world.id("stuck");
     let start = Change::Run { id, verb: Verb::Start, from: State::Ready, to: State::Active };
-    let refused = world.lcm.apply(start, Instant::now() + Duration::from_millis(20)).await.unwrap_err();
+    let refused =
+        world.lcm.apply(start, (Instant::now() + Duration::from_millis(20)).into()).await.unwrap_err();
     assert!(matches!(refused, Refusal::LcmTimeout { .. }), "{refused}");
     world.eventually("UNRESPONSIVE", "stuck", |r| r.health == Health::Unresponsive).await;
     open.send(()).unwrap();
@@ -128,7 +133,8 @@ async fn a_start_that_does_not_come_back_is_named_too_and_its_caller_gets_an_ans
 async fn what_comes_back_after_its_caller_gave_up_is_taken_back_and_told() {
     let world = World::new("s_back");
     let given_up = async |name: &str, change: Change, open: &Sender<()>| {
-        let refused = world.lcm.apply(change, Instant::now() + Duration::from_millis(20)).await.unwrap_err();
+        let refused =
+            world.lcm.apply(change, (Instant::now() + Duration::from_millis(20)).into()).await.unwrap_err();
         assert!(matches!(refused, Refusal::LcmTimeout { .. }), "{name}: {refused}");
         open.send(()).unwrap();
     };
@@ -167,7 +173,8 @@ async fn a_configuration_that_comes_too_late_gives_way_to_the_one_before() {
     let (from, to) = (serde_json::json!({}), serde_json::json!({"gain": 2}));
     let (from_state, to_state) = (State::Ready, State::Ready);
     let change = Change::Configure { id: world.id("slow"), from, to, from_state, to_state };
-    let refused = world.lcm.apply(change, Instant::now() + Duration::from_millis(20)).await.unwrap_err();
+    let refused =
+        world.lcm.apply(change, (Instant::now() + Duration::from_millis(20)).into()).await.unwrap_err();
     assert!(matches!(refused, Refusal::LcmTimeout { .. }), "{refused}");
     open.send(()).unwrap();
     let said = |r: &Report| r.warnings.iter().any(|w| w.contains("former configuration again"));

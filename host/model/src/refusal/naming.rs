@@ -79,6 +79,23 @@ macro_rules! naming {
         },
     }
 
+    /// The component was to be stopped and may be moving; `why`: its process cannot be told.
+    StopNotTold { id: ComponentId, why: String } => {
+        code: Unavailable, reason: "STOP_NOT_TOLD",
+        sentence: format!("{id} could not be told to stop and may be moving: {}", brief(why)),
+        help: format!(
+            "The Stop is noted: {id} is stopped as soon as its process is heard, and does not move again by \
+             itself. What it does until then must be stopped at its machine, by its emergency stop or its \
+             power. `trocar ls` shows when process {} is ATTACHED.",
+            id.process
+        ),
+        metadata: put("path", id).put("why", why),
+        example: StopNotTold {
+            id: id("host/robot"),
+            why: "process `host` is lost: it is known but does not answer".into(),
+        },
+    }
+
     /// No supervisor is there that would make a process beside this one; `known`: those that a supervisor
     /// keeps.
     NotSupervised { process: Name, known: Vec<Name> } => {

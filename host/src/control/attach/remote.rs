@@ -19,8 +19,8 @@ use trocar_proto::v1::{self, attach_request, attach_response, news};
 
 use crate::control::convert;
 use crate::lcm::{
-    Detail, Inventory, Invoke, Item, Lcm, LinkDetail, News, PluginInfo, RemoteEnd, Reply, Report, Sample,
-    Selection, When,
+    Decision, Detail, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo, RemoteEnd,
+    Reply, Report, Sample, Selection, Stop, When,
 };
 
 /// Time for questions that name no deadline.
@@ -139,14 +139,19 @@ impl RemoteLcm {
     }
 
     async fn ask(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
-        self.ask_for(self.number(), order, deadline, what, None).await
+        self.ask_for(self.number(), order, deadline.into(), what, None).await
+    }
+
+    /// Asks for something that rests on a decision.
+    async fn bid(&self, bidding: O, order: Order, what: &str) -> Result<A, Refusal> {
+        self.ask_for(self.number(), bidding, order, what, None).await
     }
 
     async fn ask_for(
         &self,
         id: u64,
-        order: O,
-        deadline: Instant,
+        asked: O,
+        Order { deadline, decision, .. }: Order,
         what: &str,
         feed: Option<Feed>,
     ) -> Result<A, Refusal> {
@@ -160,7 +165,9 @@ impl RemoteLcm {
         let _forget = Forget(self, id);
         let left = deadline.saturating_duration_since(Instant::now()).saturating_sub(WAY);
         let deadline_ns = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
-        let order = attach_response::Message::Order(v1::Order { id, deadline_ns, order: Some(order) });
+        let Decision(decision) = decision;
+        let order = v1::Order { id, deadline_ns, decision, order: Some(asked) };
+        let order = attach_response::Message::Order(order);
         let exchange = async {
             out.send(Ok(message(order))).await.map_err(|_| self.lost())?;
             told.await.map_err(|_| self.lost())
@@ -204,7 +211,7 @@ async fn mind(
     });
     // Without a stream there is nothing to unsubscribe from.
     let Some(out) = out else { return };
-    let order = v1::Order { id: 0, deadline_ns: 0, order: Some(O::Unsubscribe(id)) };
+    let order = v1::Order { order: Some(O::Unsubscribe(id)), ..v1::Order::default() };
     let _ = out.send(Ok(message(attach_response::Message::Order(order)))).await;
 }
 
@@ -238,6 +245,7 @@ fn news_in(news: v1::News) -> Result<News, Refusal> {
         news::News::Warnings(told) => {
             News::Warnings(Warnings { sentences: told.warnings, unfit: told.unfit })
         }
+        news::News::StoppedHere(told) => News::StoppedHere(convert::stopped_here_in(told)?),
     })
 }
 
@@ -247,10 +255,17 @@ fn wrong<T>() -> Result<T, Refusal> {
 
 #[async_trait]
 impl Lcm for RemoteLcm {
-    async fn apply(&self, change: Change, deadline: Instant) -> Result<Report, Refusal> {
+    async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
         let what = crate::gcm::asked(&change);
-        match self.ask(O::Apply(convert::change_out(&change)), deadline, &what).await? {
+        match self.bid(O::Apply(convert::change_out(&change)), order, &what).await? {
             A::Report(report) => convert::report_in(report),
+            _ => wrong(),
+        }
+    }
+
+    async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
+        match self.bid(O::Stop(convert::stop_out(&stop)), order, "a Stop").await? {
+            A::Halted(halted) => convert::halted_in(halted),
             _ => wrong(),
         }
     }
@@ -301,7 +316,7 @@ impl Lcm for RemoteLcm {
         let feed = Feed { tell: tell.clone(), lost: 0, over };
         let order = O::Subscribe(v1::SubscribeRequest { selections });
         tokio::spawn(mind(self.link.clone(), id, tell, ended));
-        match self.ask_for(id, order, Instant::now() + WITHIN, "a subscription", Some(feed)).await? {
+        match self.ask_for(id, order, (Instant::now() + WITHIN).into(), "a subscription", Some(feed)).await? {
             A::Subscribed(_) => Ok(told),
             _ => wrong(),
         }

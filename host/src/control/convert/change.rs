@@ -16,16 +16,17 @@ use trocar_proto::v1;
 use super::answers::{half, half_in};
 use super::back::{self, unreadable};
 use super::requests::{execution, options};
+use super::stopping::{decision_in, stopped_here_in, stopped_here_out};
 use super::types::{class, execution_out, health, options_out, ports, state};
 use crate::gcm::Slice;
 use crate::lcm::{ClassOf, Inventory, RemoteEnd, Report};
 
-fn state_out(s: State) -> v1::State {
+pub(super) fn state_out(s: State) -> v1::State {
     let (state, stop_reason) = state(s);
     v1::State { state: state as i32, stop_reason: stop_reason as i32 }
 }
 
-fn state_in(s: Option<v1::State>) -> Result<State, Refusal> {
+pub(super) fn state_in(s: Option<v1::State>) -> Result<State, Refusal> {
     let s = s.ok_or_else(|| unreadable("state"))?;
     back::state(s.state, s.stop_reason)
 }
@@ -245,6 +246,8 @@ pub(crate) fn inventory_out(inventory: &Inventory) -> v1::Inventory {
         proxies: inventory.halves.iter().map(half).collect(),
         warnings: inventory.warnings.sentences.clone(),
         unfit: inventory.warnings.unfit,
+        decision: inventory.decision.0,
+        stopped_here: (inventory.stopped_here.number > 0).then(|| stopped_here_out(&inventory.stopped_here)),
     }
 }
 
@@ -255,6 +258,8 @@ pub(crate) fn inventory_in(inventory: v1::Inventory) -> Result<Inventory, Refusa
         classes: classes_in(inventory.classes)?,
         halves: inventory.proxies.into_iter().map(half_in).collect::<Result<_, _>>()?,
         warnings: Warnings { sentences: inventory.warnings, unfit: inventory.unfit },
+        decision: decision_in(inventory.decision)?,
+        stopped_here: stopped_here_in(inventory.stopped_here.unwrap_or_default())?,
     })
 }
 

@@ -7,6 +7,7 @@ mod graph;
 mod json;
 mod refusal;
 mod requests;
+mod stopping;
 mod types;
 
 pub(super) use answers::{
@@ -22,4 +23,5 @@ pub(super) use graph::{Figures, component, connection, list, process, report, su
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
 pub(super) use requests::{Common, configure, connect, create, disconnect, forget, remove, steps, targets};
+pub(super) use stopping::{halted_in, halted_out, stop_in, stop_out, stopped_here_in, stopped_here_out};
 pub(super) use types::{class, ports, provided};

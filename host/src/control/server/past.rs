@@ -1,25 +1,25 @@
 //! Stop at the port of a host whose GCM is in another process: components of this process are stopped here,
 //! whether that GCM answers or not.
 //!
-//! Invariant: this path only ever stops. The GCM, if there is one, hears of it like of anything a component
-//! does by itself.
+//! Invariant: this path only ever stops. Until the GCM has heard of it, and made it a Stop of its own,
+//! nothing that it names is set in motion.
 
 use std::sync::Arc;
 
 use tonic::{Request, Status};
-use trocar_model::{ComponentId, Name, Refusal, Target};
+use trocar_model::{ComponentId, Name, Refusal, State, StopReason, Target};
 use trocar_proto::v1;
 
 use super::identity::identity;
 use super::refuse;
 use crate::control::convert;
 use crate::control::deadline::{deadline, room};
-use crate::lcm::{Lcm, Report, stop_active};
+use crate::lcm::{Decision, Halted, Lcm, Order, Report, Stop};
 
 /// Stops the components of `process` that the request names.
 ///
 /// # Errors
-/// The paths name nothing here; the LCM does not answer.
+/// All paths name nothing here; the LCM does not answer.
 pub(super) async fn stop(
     process: &Name,
     lcm: &Arc<dyn Lcm>,
@@ -30,37 +30,39 @@ pub(super) async fn stop(
     let targets = convert::targets("Stop", r.paths, r.path).map_err(refuse)?;
     let there = lcm.inventory().await.map_err(refuse)?.components;
     let known: Vec<ComponentId> = there.into_iter().map(|c| c.id).collect();
-    for target in &targets {
-        is_here(process, target, &known).map_err(refuse)?;
+    let strange: Vec<(String, Refusal)> = targets
+        .iter()
+        .filter_map(|target| Some((target.to_string(), is_here(process, target, &known).err()?)))
+        .collect();
+    if let Some((_, refusal)) = strange.first().filter(|_| strange.len() == targets.len()) {
+        return Err(refuse(refusal.clone()));
     }
-    let named = |id: &ComponentId| {
-        targets.iter().any(|target| match target {
-            Target::One(one) => one == id,
-            Target::Glob(pattern) => pattern.matches(id),
-        })
-    };
+    let mut answer = v1::StopResponse::default();
+    let failed = |path: String, refusal: &Refusal| v1::SkippedComponent { path, why: refusal.to_string() };
+    answer.failed.extend(strange.into_iter().map(|(path, refusal)| failed(path, &refusal)));
     if r.validate_only {
-        let plan = known.iter().filter(|id| named(id)).map(|id| format!("- stop {id}, if it runs")).collect();
-        return Ok(v1::StopResponse { plan, ..Default::default() });
+        let named = known.iter().filter(|id| targets.iter().any(|target| target.names(id)));
+        answer.plan = named.map(|id| format!("- stop {id}, if it runs")).collect();
+        return Ok(answer);
     }
-    let stopped = stop_active(lcm, named, until - room(until)).await.map_err(refuse)?;
-    log::info!(target: "audit", "{who} asked Stop at this host, past its GCM: {} stopped", stopped.len());
-    let mut answer = v1::StopResponse {
-        warnings: vec!["it was stopped at its host, past the GCM, which hears of it afterwards".to_owned()],
-        ..Default::default()
-    };
-    for (id, done) in stopped {
+    let order = Order { decision: Decision::HERE, ..Order::from(until - room(until)) };
+    let halted = lcm.stop(Stop { targets, known_here: 0 }, order).await.map_err(refuse)?;
+    let mut stopped = 0;
+    for Halted { id, was, done } in halted {
         match done {
+            Ok(_) if !matches!(was, State::Active | State::Stopped(StopReason::Restarted)) => {}
             Ok(report) => {
+                stopped += 1;
                 answer.plan.push(format!("- stop {id}"));
                 answer.components.push(convert::report(&Report { ports: None, ..report }));
             }
-            Err(refusal) => {
-                let (path, why) = (id.to_string(), refusal.to_string());
-                answer.failed.push(v1::SkippedComponent { path, why });
-            }
+            Err(refusal) => answer.failed.push(failed(id.to_string(), &refusal)),
         }
     }
+    log::info!(target: "audit", "{who} asked Stop at this host, past its GCM: {stopped} stopped");
+    answer.warnings = vec![
+        "it was stopped at its host, past the GCM: nothing moves again before the GCM has heard of it".into(),
+    ];
     Ok(answer)
 }
 

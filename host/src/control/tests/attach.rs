@@ -270,8 +270,11 @@ async fn a_restarted_gcm_gets_its_processes_back_with_all_they_have() {
 }
 
 #[tokio::test]
-async fn a_change_that_was_begun_for_a_gcm_that_died_is_known_to_the_next() {
+async fn a_process_whose_gcm_died_in_the_middle_of_a_change_is_there_at_once_and_takes_it_back() {
     let (s, lcm, _uplink) = attached().await;
+    s.gcm().create(create("gui/b")).await.unwrap();
+    let all = || vec!["gui/**".to_owned()];
+    s.gcm().start(v1::StartRequest { paths: all(), ..Default::default() }).await.unwrap();
     lcm.hold("Create gui/a");
     let creating = tokio::spawn({
         let mut client = s.gcm();
@@ -280,8 +283,15 @@ async fn a_change_that_was_begun_for_a_gcm_that_died_is_known_to_the_next() {
     lcm.hangs("Create gui/a").await;
     let (gcm, _server) = restarted(s).await;
     creating.await.unwrap().unwrap_err();
+    until(&gcm, "the process is there", process_is("gui", ProcessState::Attached)).await;
+    let stop = trocar_model::Request::Stop { targets: vec!["gui/**".parse().unwrap()] };
+    gcm.execute(vec![stop], Default::default()).await.unwrap();
+    assert_eq!(lcm.state("gui/b"), Some(State::Stopped(StopReason::Requested)), "Stop waited for it");
+    lcm.hold("Remove gui/a");
     lcm.release("Create gui/a");
-    until(&gcm, "gui/a is known", |g| g.components.contains_key(&id("gui/a"))).await;
+    comes("it is taken back", lcm.hangs("Remove gui/a")).await;
+    lcm.release("Remove gui/a");
+    assert!(!gcm.graph().components.contains_key(&id("gui/a")), "its caller was told that it failed");
 }
 
 #[tokio::test]

@@ -1,8 +1,8 @@
 //! The process's half of Attach: dials the GCM, carries out its orders, sends it news, dials again after a
 //! loss.
 //!
-//! Invariant: components run on without the GCM; an order that has begun is finished and remembered before
-//! the process says Hello again.
+//! Invariant: components run on without the GCM. The process says Hello again without waiting for what takes
+//! long: an order under way is given up with its session, and taken back.
 
 mod orders;
 mod session;
@@ -127,7 +127,7 @@ struct Tie {
     registration: Registration,
     lcm: Arc<dyn Lcm>,
     told: Told,
-    /// Held for reading while a change is carried out.
+    /// Held for reading while a change is remembered, or taken back, and while something is taken away.
     quiet: Arc<RwLock<()>>,
 }
 
@@ -199,7 +199,7 @@ impl Tie {
     }
 
     async fn hello(&self, client: AttachServiceClient<Tokened>) -> Result<Session, Refused> {
-        // Orders of the last session finish first, so that the slice contains their effects.
+        // What is only just being remembered is in the slice.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };
         Session::open(client, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await

@@ -1,38 +1,49 @@
 //! Orders of the GCM, carried out by the LCM of this process.
 //!
 //! Invariant: each order runs in its own task, so that none delays a Stop; every order is answered, if only
-//! with a refusal.
+//! with a refusal. What the GCM was not told of before it was lost, it finds as it was.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
-use tokio::sync::{RwLock, mpsc};
+use tokio::sync::{OwnedRwLockReadGuard, RwLock, mpsc};
 use tokio::task::{AbortHandle, JoinSet};
-use trocar_model::{Change, ComponentId, MemberId, Plan, Refusal, SystemGraph};
+use trocar_model::{
+    Change, ComponentId, MemberId, Plan, Refusal, State, StopReason, SystemGraph, Verb, inverse,
+};
 use trocar_proto::v1;
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 
 use crate::control::convert;
-use crate::gcm::observe;
-use crate::lcm::{Invoke, Lcm};
+use crate::gcm::{asked, id_of, observe};
+use crate::lcm::{Decision, Invoke, Lcm, Lease, Order, Report};
 
 /// Longest time an order may take.
 const MOST: Duration = Duration::from_secs(60);
+/// Time to take one back.
+const UNDO: Duration = Duration::from_secs(2);
 
 /// Everything this process was ordered to have, as far as the orders are carried out.
 pub(super) type Told = Arc<Mutex<SystemGraph>>;
 
 pub(super) struct Orders {
-    lcm: Arc<dyn Lcm>,
-    told: Told,
-    quiet: Arc<RwLock<()>>,
+    ours: Ours,
     answers: mpsc::Sender<v1::Answer>,
     feeds: HashMap<u64, AbortHandle>,
     /// Feeds end with the session.
     running: JoinSet<()>,
+    lease: Lease,
+}
+
+/// What orders change.
+#[derive(Clone)]
+struct Ours {
+    lcm: Arc<dyn Lcm>,
+    told: Told,
+    quiet: Arc<RwLock<()>>,
 }
 
 impl Orders {
@@ -41,8 +52,10 @@ impl Orders {
         told: Told,
         quiet: Arc<RwLock<()>>,
         answers: mpsc::Sender<v1::Answer>,
+        lease: Lease,
     ) -> Orders {
-        Orders { lcm, told, quiet, answers, feeds: HashMap::new(), running: JoinSet::new() }
+        let ours = Ours { lcm, told, quiet };
+        Orders { ours, answers, feeds: HashMap::new(), running: JoinSet::new(), lease }
     }
 
     /// Begins it; the answer follows.
@@ -51,24 +64,35 @@ impl Orders {
         while self.running.try_join_next().is_some() {}
         self.feeds.retain(|_, feed| !feed.is_finished());
         let deadline = Instant::now() + Duration::from_nanos(order.deadline_ns).min(MOST);
-        let (id, lcm, answers) = (order.id, self.lcm.clone(), self.answers.clone());
+        let by = Order { deadline, decision: Decision(order.decision), lease: self.lease.clone() };
+        let (id, ours, answers) = (order.id, self.ours.clone(), self.answers.clone());
+        let lcm = ours.lcm.clone();
+        // The tasks are not the session's: what has begun is finished, or taken back, without it.
         match order.order {
             Some(O::Apply(change)) => {
-                let (told, busy) = (self.told.clone(), self.quiet.clone().read_owned().await);
-                // The task is not the session's: an order that has begun is finished without the session.
+                let change = match convert::change_in(change) {
+                    Ok(change) => change,
+                    Err(unread) => return give(&answers, id, Err(unread)).await,
+                };
+                // Such an order is not waited for long, and cannot be taken back.
+                let busy = match takes_away(&change) {
+                    true => Some(ours.quiet.clone().read_owned().await),
+                    false => None,
+                };
                 tokio::spawn(async move {
-                    let answer = apply(&lcm, &told, change, deadline).await;
-                    drop(busy);
+                    let answer = ours.apply(change, by, busy).await;
                     give(&answers, id, answer.map(A::Report)).await;
                 });
             }
             Some(O::Link(end)) => {
-                let (told, busy) = (self.told.clone(), self.quiet.clone().read_owned().await);
-                tokio::spawn(async move {
-                    let answer = link(&lcm, &told, end, deadline).await;
-                    drop(busy);
-                    give(&answers, id, answer.map(A::Report)).await;
-                });
+                _ = tokio::spawn(async move {
+                    give(&answers, id, ours.link(end, by).await.map(A::Report)).await;
+                })
+            }
+            Some(O::Stop(stop)) => {
+                _ = tokio::spawn(async move {
+                    give(&answers, id, ours.stop(stop, by).await.map(A::Halted)).await;
+                })
             }
             Some(O::Subscribe(request)) => {
                 let feed = self.running.spawn(follow(lcm, id, request, answers));
@@ -103,35 +127,90 @@ async fn give(answers: &mpsc::Sender<v1::Answer>, id: u64, answer: Result<A, Ref
     let _ = answers.send(v1::Answer { id, answer: Some(answer) }).await;
 }
 
-/// Makes a change, then remembers the order for it.
-async fn apply(
-    lcm: &Arc<dyn Lcm>,
-    told: &Told,
-    change: v1::Change,
-    deadline: Instant,
-) -> Result<v1::ComponentReport, Refusal> {
-    let change = convert::change_in(change)?;
-    let report = lcm.apply(change.clone(), deadline).await?;
-    let mut told = told.lock();
-    told.apply(&Plan { changes: vec![change], skipped: Vec::new() });
-    observe(&mut told, &report);
-    Ok(convert::report(&report))
+impl Ours {
+    /// Makes a change, and remembers it.
+    async fn apply(
+        &self,
+        change: Change,
+        by: Order,
+        busy: Option<OwnedRwLockReadGuard<()>>,
+    ) -> Result<v1::ComponentReport, Refusal> {
+        let lease = by.lease.clone();
+        let report = self.lcm.apply(change.clone(), by).await?;
+        let _busy = match busy {
+            Some(busy) => busy,
+            None => self.made(&change, &lease).await?,
+        };
+        self.remember(change, &report);
+        Ok(convert::report(&report))
+    }
+
+    /// Does the same as [`Ours::apply`], for a connection to another process.
+    async fn link(&self, end: v1::LinkOrder, by: Order) -> Result<v1::ComponentReport, Refusal> {
+        let end = convert::remote_in(end)?;
+        let change = Change::Connect { connection: end.connection.clone() };
+        let report = self.lcm.link(end, by.deadline).await?;
+        let _busy = self.made(&change, &by.lease).await?;
+        self.remember(change, &report);
+        Ok(convert::report(&report))
+    }
+
+    async fn stop(&self, stop: v1::StopOrder, by: Order) -> Result<v1::Halted, Refusal> {
+        let halted = self.lcm.stop(convert::stop_in(stop)?, by).await?;
+        let mut told = self.told.lock();
+        for report in halted.iter().filter_map(|halted| halted.done.as_ref().ok()) {
+            observe(&mut told, report);
+        }
+        drop(told);
+        Ok(convert::halted_out(halted))
+    }
+
+    /// Waits until no Hello is on its way. A change whose GCM was lost meanwhile is taken back: its caller
+    /// was told that it failed.
+    ///
+    /// # Errors
+    /// It was taken back.
+    async fn made(&self, change: &Change, lease: &Lease) -> Result<OwnedRwLockReadGuard<()>, Refusal> {
+        let busy = self.quiet.clone().read_owned().await;
+        if !lease.has_ended() {
+            return Ok(busy);
+        }
+        let (what, process) = (asked(change), id_of(change).process.clone());
+        log::warn!("the GCM was lost before it heard that this was done: {what}; it is taken back");
+        if let Some(back) = way_back(change)
+            && let Err(refusal) = self.lcm.apply(back, (Instant::now() + UNDO).into()).await
+        {
+            log::error!("taking back: {what}: {refusal}");
+        }
+        Err(Refusal::lost(process))
+    }
+
+    fn remember(&self, change: Change, report: &Report) {
+        let mut told = self.told.lock();
+        told.apply(&Plan { changes: vec![change], skipped: Vec::new() });
+        observe(&mut told, report);
+    }
 }
 
-/// Does the same as [`apply`], for a connection to another process.
-async fn link(
-    lcm: &Arc<dyn Lcm>,
-    told: &Told,
-    end: v1::LinkOrder,
-    deadline: Instant,
-) -> Result<v1::ComponentReport, Refusal> {
-    let end = convert::remote_in(end)?;
-    let connection = end.connection.clone();
-    let report = lcm.link(end, deadline).await?;
-    let mut told = told.lock();
-    told.apply(&Plan { changes: vec![Change::Connect { connection }], skipped: Vec::new() });
-    observe(&mut told, &report);
-    Ok(convert::report(&report))
+/// Tells whether a change only takes something away, or brings it to rest.
+fn takes_away(change: &Change) -> bool {
+    match change {
+        Change::Destroy { .. } | Change::Disconnect { .. } => true,
+        Change::Run { verb, .. } => matches!(verb, Verb::Stop | Verb::Remove),
+        Change::Create { .. } | Change::Configure { .. } | Change::Connect { .. } => false,
+    }
+}
+
+/// Returns the change that undoes one that was made; nothing is set in motion by it. A Reset has none.
+fn way_back(change: &Change) -> Option<Change> {
+    match change {
+        Change::Run { id, verb: Verb::Start | Verb::Resume, .. } => {
+            let to = State::Stopped(StopReason::Requested);
+            Some(Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to })
+        }
+        Change::Run { .. } => None,
+        other => inverse(&Plan { changes: vec![other.clone()], skipped: Vec::new() }).changes.pop(),
+    }
 }
 
 async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refusal> {
@@ -163,7 +242,7 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
             A::Steps(convert::steps_out(lcm.phases(given, deadline).await?))
         }
         O::Inventory(_) => A::Inventory(convert::inventory_out(&lcm.inventory().await?)),
-        O::Apply(_) | O::Link(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
+        O::Apply(_) | O::Link(_) | O::Stop(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
     })
 }
 

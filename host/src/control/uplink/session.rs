@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use tokio::sync::{RwLock, broadcast, mpsc};
+use tokio::sync::{RwLock, broadcast, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tokio_stream::wrappers::ReceiverStream;
@@ -20,7 +20,7 @@ use crate::control::attach::{BEAT, LEASE};
 use crate::control::caller::Tokened;
 use crate::control::convert;
 use crate::gcm::Registration;
-use crate::lcm::{Lcm, News};
+use crate::lcm::{Lcm, Lease, News};
 
 /// Messages that may wait to be sent.
 const QUEUE: usize = 256;
@@ -42,6 +42,8 @@ pub(super) struct Session {
     /// Orders that came before Registered.
     early: Vec<v1::Order>,
     tasks: JoinSet<()>,
+    /// When the GCM was heard last; what it ordered is taken back when this is dropped.
+    heard: watch::Sender<Instant>,
     /// The GCM's number for this incarnation of the process.
     pub(super) epoch: u64,
 }
@@ -88,7 +90,10 @@ impl Session {
         let (answer, answers) = mpsc::channel(QUEUE);
         let mut tasks = JoinSet::new();
         tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
-        Ok(Session { inbound, out, orders: Orders::new(lcm, told, quiet, answer), early, tasks, epoch })
+        let (heard, lease) = watch::channel(Instant::now());
+        let lease = Lease::new(lease, BEAT * LEASE);
+        let orders = Orders::new(lcm, told, quiet, answer, lease);
+        Ok(Session { inbound, out, orders, early, tasks, heard, epoch })
     }
 
     /// Carries out the GCM's orders until the GCM is lost; returns the reason.
@@ -119,6 +124,7 @@ impl Session {
                         return why;
                     }
                     silent = 0;
+                    self.heard.send_replace(Instant::now());
                     match said.message {
                         Some(attach_response::Message::Order(order)) => self.orders.carry_out(order).await,
                         Some(attach_response::Message::Refused(info)) => return info.text,
@@ -201,6 +207,7 @@ fn news_out(next: News) -> v1::AttachRequest {
         News::Warnings(Warnings { sentences, unfit }) => {
             news::News::Warnings(v1::ProcessWarnings { warnings: sentences, unfit })
         }
+        News::StoppedHere(told) => news::News::StoppedHere(convert::stopped_here_out(&told)),
     };
     message(attach_request::Message::News(v1::News { news: Some(next) }))
 }
@@ -212,7 +219,9 @@ async fn everything(lcm: &Arc<dyn Lcm>) -> Vec<v1::AttachRequest> {
             let states = inventory.components.into_iter().map(News::State);
             let halves = inventory.halves.into_iter().map(News::Half);
             let whole = [News::Catalog(inventory.classes), News::Warnings(inventory.warnings)];
-            states.chain(halves).chain(whole).map(news_out).collect()
+            let stopped = Some(inventory.stopped_here).filter(|told| told.number > 0);
+            let stopped = stopped.into_iter().map(News::StoppedHere);
+            states.chain(halves).chain(whole).chain(stopped).map(news_out).collect()
         }
         Err(refusal) => {
             log::warn!("the inventory cannot be had: {refusal}");

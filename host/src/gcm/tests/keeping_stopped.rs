@@ -1,7 +1,6 @@
 //! A component that was stopped stands still, whatever becomes of its process meanwhile.
 //!
-//! Promise: a Stop that was answered with OK, or that its process went away in the middle of, is never
-//! forgotten.
+//! Promise: a Stop is never forgotten, and answered with OK only for what stands still.
 
 use trocar_model::{ProcessState, State, StopReason};
 
@@ -95,7 +94,8 @@ async fn what_is_stopped_while_its_process_gets_it_back_stays_stopped() {
 async fn what_is_stopped_while_its_process_is_away_is_stopped_when_it_comes_back_as_it_was() {
     let (gcm, lcm, who, session) = ours().await;
     gcm.lost(&name("host"), session);
-    ask(&gcm, vec![stop("**")]).await.unwrap();
+    let not_told = ask(&gcm, vec![stop("**")]).await.unwrap_err();
+    assert_eq!(not_told.reason(), "STOP_NOT_TOLD", "it may be moving: {not_told}");
     assert_eq!(lcm.state("host/a"), Some(State::Active), "nobody could tell it");
     register(&gcm, who, lcm.clone()).await.unwrap();
     until(&gcm, "it is stopped", |graph| graph.components[&id("host/a")].state == REQUESTED).await;
@@ -108,7 +108,7 @@ async fn what_is_stopped_while_its_process_is_away_is_stopped_when_it_comes_back
 async fn a_process_that_goes_away_before_it_was_told_is_told_when_it_comes_back() {
     let (gcm, lcm, who, session) = ours().await;
     gcm.lost(&name("host"), session);
-    ask(&gcm, vec![stop("host/a")]).await.unwrap();
+    ask(&gcm, vec![stop("host/a")]).await.unwrap_err();
     lcm.lose_at("Stop host/a");
     lcm.hold("Stop host/a");
     let session = register(&gcm, who.clone(), lcm.clone()).await.unwrap().session;
@@ -126,7 +126,7 @@ async fn a_stop_in_the_middle_of_which_its_process_goes_away_is_kept() {
         let (gcm, lcm, who, session) = ours().await;
         lcm.lose_at("Stop host/a");
         let refusal = ask(&gcm, vec![stop("host/a")]).await.unwrap_err();
-        assert_eq!(refusal.reason(), "PROCESS_LOST", "it cannot be told that it is stopped: {refusal}");
+        assert_eq!(refusal.reason(), "STOP_NOT_TOLD", "it cannot be told that it is stopped: {refusal}");
         gcm.lost(&name("host"), session);
         if comes_back {
             register(&gcm, who, lcm.clone()).await.unwrap();

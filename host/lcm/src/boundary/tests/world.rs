@@ -93,7 +93,7 @@ impl World {
     }
 
     pub(super) fn apply(&self, change: Change) -> Result<Report, Refusal> {
-        self.runtime.block_on(self.lcm.apply(change, Instant::now() + PATIENCE))
+        self.runtime.block_on(self.lcm.apply(change, (Instant::now() + PATIENCE).into()))
     }
 
     /// An ACTIVE component of class `ports`.

@@ -49,7 +49,9 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
     let lcm = LocalLcm::new(config).unwrap();
     let id = ComponentId::parse("hy_mask/c").unwrap();
     behave(&id.to_string(), Arc::new(Idle));
-    lcm.apply(Change::Create { id: id.clone(), component: idle() }, Instant::now() + PATIENCE).await.unwrap();
+    lcm.apply(Change::Create { id: id.clone(), component: idle() }, (Instant::now() + PATIENCE).into())
+        .await
+        .unwrap();
     let instance = lcm.instance(&id).unwrap();
     let executor = lcm.executor_of(&instance).unwrap();
     let guarded = Guarded::new(instance, executor.clone());
@@ -93,7 +95,7 @@ async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
     for number in 0..7 {
         let id = ComponentId::parse(&format!("hy_round/c{number}")).unwrap();
         behave(&id.to_string(), Arc::new(Idle));
-        lcm.apply(Change::Create { id: id.clone(), component: idle() }, Instant::now() + PATIENCE)
+        lcm.apply(Change::Create { id: id.clone(), component: idle() }, (Instant::now() + PATIENCE).into())
             .await
             .unwrap();
         let instance = lcm.instance(&id).unwrap();

@@ -67,7 +67,7 @@ async fn stopped(process: &str, count: usize) -> (Arc<LocalLcm>, Roster) {
             run(Verb::Start),
             run(Verb::Stop),
         ] {
-            lcm.apply(change, Instant::now() + PATIENCE).await.unwrap();
+            lcm.apply(change, (Instant::now() + PATIENCE).into()).await.unwrap();
         }
         let instance = lcm.instance(&id).unwrap();
         let executor = lcm.executor_of(&instance).unwrap();

@@ -1,0 +1,175 @@
+//! Stop is an order, whatever the GCM believes, and whatever else is under way.
+
+use trocar_lcm_api::{News, StoppedHere};
+
+use super::super::Told;
+use super::super::fate::Fate;
+use super::*;
+
+const STOPPED: State = State::Stopped(StopReason::Requested);
+
+fn stops(paths: &[&str]) -> Request {
+    Request::Stop { targets: paths.iter().map(|path| Target::parse(path).unwrap()).collect() }
+}
+
+async fn running(paths: &[&str]) -> (Gcm, Arc<FakeLcm>) {
+    let (gcm, lcm) = system().await;
+    let made = paths.iter().map(|path| create(path)).chain([start("host/*")]);
+    ask(&gcm, made.collect()).await.unwrap();
+    (gcm, lcm)
+}
+
+#[tokio::test]
+async fn a_name_that_is_not_there_keeps_nothing_from_being_stopped() {
+    let (gcm, lcm) = running(&["host/arm", "host/cam"]).await;
+    let done = ask(&gcm, vec![stops(&["host/amr", "host/arm", "hots/arm", "host/x*"])]).await.unwrap();
+    assert_eq!(lcm.state("host/arm"), Some(STOPPED));
+    assert_eq!(lcm.state("host/cam"), Some(State::Active));
+    let mut failed: Vec<_> = done.failed.iter().map(|(t, r)| (t.to_string(), r.reason())).collect();
+    failed.sort();
+    let want = [
+        ("host/amr".to_owned(), "COMPONENT_NOT_FOUND"),
+        ("host/x*".to_owned(), "NOTHING_MATCHES"),
+        ("hots/arm".to_owned(), "PROCESS_NOT_FOUND"),
+    ];
+    assert_eq!(failed, want);
+    assert_eq!(ask(&gcm, vec![stops(&["host/amr"])]).await.unwrap_err().reason(), "COMPONENT_NOT_FOUND");
+    // A dry run says the same, and stops nothing.
+    let options = ExecuteOptions { validate_only: true, ..ExecuteOptions::default() };
+    let would = gcm.execute(vec![stops(&["host/amr", "host/cam"])], options).await.unwrap();
+    assert_eq!((would.failed.len(), would.plan.changes.len()), (1, 1));
+    assert_eq!(lcm.state("host/cam"), Some(State::Active));
+}
+
+#[tokio::test]
+async fn what_an_lcm_has_is_stopped_although_the_graph_does_not_know_it() {
+    let (gcm, lcm) = system().await;
+    lcm.become_state("host/stray", State::Active, "");
+    ask(&gcm, vec![stop("host/stray")]).await.unwrap();
+    assert_eq!(lcm.state("host/stray"), Some(STOPPED));
+    lcm.become_state("host/stray", State::Active, "");
+    ask(&gcm, vec![stop("**")]).await.unwrap();
+    assert_eq!(lcm.state("host/stray"), Some(STOPPED));
+}
+
+#[tokio::test]
+async fn a_stop_with_an_id_that_was_used_stops() {
+    let (gcm, lcm) = running(&["host/a"]).await;
+    let with_id = || ExecuteOptions { request_id: "again".into(), ..ExecuteOptions::default() };
+    for _ in 0..2 {
+        gcm.execute(vec![stop("host/a")], with_id()).await.unwrap();
+        assert_eq!(lcm.state("host/a"), Some(STOPPED), "answered from memory");
+        ask(&gcm, vec![start("host/a")]).await.unwrap();
+    }
+    // Also where another request had it.
+    gcm.execute(
+        vec![create("host/b")],
+        ExecuteOptions { request_id: "b".into(), ..ExecuteOptions::default() },
+    )
+    .await
+    .unwrap();
+    let options = ExecuteOptions { request_id: "b".into(), ..ExecuteOptions::default() };
+    gcm.execute(vec![stop("host/a")], options).await.unwrap();
+    assert_eq!(lcm.state("host/a"), Some(STOPPED));
+}
+
+#[tokio::test]
+async fn a_start_that_waits_for_its_turn_when_a_stop_comes_starts_nothing() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a")]).await.unwrap();
+    let configure =
+        Request::Configure { id: id("host/a"), patch: serde_json::json!({ "gain": 2.0 }), execution: None };
+    lcm.hold("Configure host/a");
+    let configuring = tokio::spawn({
+        let gcm = gcm.clone();
+        async move { ask(&gcm, vec![configure]).await }
+    });
+    lcm.hangs("Configure host/a").await;
+    let mut starting = std::pin::pin!(ask(&gcm, vec![start("host/a")]));
+    begun(starting.as_mut()).await;
+    ask(&gcm, vec![stop("host/a")]).await.unwrap();
+    lcm.release("Configure host/a");
+    configuring.await.unwrap().unwrap();
+    let refusal = starting.await.unwrap_err();
+    assert!(refusal.to_string().contains("stopped while this Start"), "{refusal}");
+    assert!(!lcm.done().contains(&"Start host/a".to_owned()), "{:?}", lcm.done());
+    ask(&gcm, vec![start("host/a")]).await.unwrap();
+}
+
+#[tokio::test]
+async fn what_is_taken_back_sets_no_actuator_in_motion() {
+    let (gcm, lcm) = running(&["host/a", "host/b"]).await;
+    lcm.refuse("Create host/c");
+    let refusal = ask(&gcm, vec![stop("host/a"), create("host/c")]).await.unwrap_err();
+    assert_eq!(refusal.reason(), "COMPONENT_REFUSED");
+    assert_eq!(lcm.state("host/a"), Some(STOPPED), "nobody asked that it moves: {:?}", lcm.done());
+    assert_eq!(component(&gcm.graph(), "host/a").state, STOPPED, "and it is shown");
+    assert_eq!(lcm.state("host/b"), Some(State::Active));
+}
+
+#[tokio::test]
+async fn a_process_that_ended_is_no_reason_to_say_that_a_stop_failed() {
+    let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+    let who = host();
+    let pid = who.pid;
+    let session = register(&gcm, who, lcm).await.unwrap().session;
+    ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+    gcm.lost(&name("host"), session);
+    assert_eq!(ask(&gcm, vec![stop("host/a")]).await.unwrap_err().reason(), "STOP_NOT_TOLD");
+    let (process, last_exit) = (name("host"), "was killed by SIGKILL".to_owned());
+    gcm.told(&Told { process, fate: Fate::Restarting, pid, last_exit, restarts: 1 });
+    let done = ask(&gcm, vec![stop("host/a")]).await.unwrap();
+    assert!(done.skipped()[0].why.contains("it comes back stopped"), "{:?}", done.skipped());
+    let again = FakeLcm::new("host");
+    register(&gcm, host(), again.clone()).await.unwrap();
+    until(&gcm, "it is made again", |g| g.processes[&name("host")].state == ProcessState::Attached).await;
+    assert_eq!(again.state("host/a"), Some(STOPPED));
+}
+
+#[tokio::test]
+async fn a_stop_at_the_process_itself_becomes_one_of_the_gcms() {
+    for is_news in [true, false] {
+        let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+        let who = host();
+        let session = register(&gcm, who.clone(), lcm.clone()).await.unwrap().session;
+        ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+        let before = gcm.graph().revision;
+        let told = StoppedHere { number: 3, targets: vec![Target::parse("host/a").unwrap()] };
+        lcm.become_state("host/a", STOPPED, "");
+        if is_news {
+            lcm.news.send(News::StoppedHere(told)).unwrap();
+        } else {
+            // It was asked while there was no GCM.
+            *lcm.stopped_here.lock() = told;
+            gcm.lost(&name("host"), session);
+            register(&gcm, who, lcm.clone()).await.unwrap();
+        }
+        let mut watchdog = crate::watchdog::Watchdog::of("the GCM answers with a Stop of its own");
+        while lcm.known_here() != Some(3) {
+            watchdog.saw(format_args!("{:?}", lcm.known_here()));
+            tokio::task::yield_now().await;
+        }
+        until(&gcm, "it is a revision", |graph| graph.revision > before).await;
+        ask(&gcm, vec![start("host/a")]).await.unwrap();
+        assert_eq!(lcm.state("host/a"), Some(State::Active), "asked after the GCM knew of it");
+    }
+}
+
+#[tokio::test]
+async fn a_gcm_that_knows_nothing_counts_on_from_what_its_processes_have_seen() {
+    let (gcm, lcm) = running(&["host/a"]).await;
+    for _ in 0..9 {
+        ask(&gcm, vec![stop("host/a")]).await.unwrap();
+        ask(&gcm, vec![start("host/a")]).await.unwrap();
+    }
+    ask(&gcm, vec![stop("host/a")]).await.unwrap();
+    let graph = gcm.graph();
+    let slice = Slice {
+        components: graph.components.iter().map(|(id, c)| (id.clone(), c.clone())).collect(),
+        connections: Vec::new(),
+    };
+    let other = Gcm::start(GcmConfig::default()).await.unwrap();
+    register(&other, Registration { slice, ..host() }, lcm.clone()).await.unwrap();
+    ask(&other, vec![start("host/a")]).await.unwrap();
+    assert_eq!(lcm.state("host/a"), Some(State::Active), "its Start is later than every Stop before");
+}
