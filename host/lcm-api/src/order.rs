@@ -58,6 +58,11 @@ impl Lease {
         })
     }
 
+    /// Tells whether its end was told, whatever the clock says.
+    pub fn is_over(&self) -> bool {
+        self.heard.as_ref().is_some_and(|(heard, _)| heard.has_changed().is_err())
+    }
+
     /// Waits until its end is told.
     pub async fn ended(&self) {
         match self.heard.clone() {

@@ -128,6 +128,8 @@ pub(super) struct Core {
     gate: AtomicU32,
     /// True while it is stopped in order to be removed.
     going: AtomicBool,
+    /// From the moment a start or resume is entered until a stop has made the component safe.
+    unsettled: AtomicBool,
     closed: AtomicBool,
     signalled: Mark,
     /// See [`Core::teller`].
@@ -186,6 +188,7 @@ impl Core {
             watch: Watch::default(),
             gate: AtomicU32::new(pack(State::Created)),
             going: AtomicBool::new(false),
+            unsettled: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             signalled: Mark::default(),
             teller: AtomicU64::new(0),
@@ -271,6 +274,16 @@ impl Core {
     pub(super) fn set_going(&self, going: bool) {
         self.going.store(going, Ordering::Release);
         self.show_standing();
+    }
+
+    /// Notes that its code may set something in motion, or that all of it is at rest.
+    pub(super) fn set_unsettled(&self, unsettled: bool) {
+        self.unsettled.store(unsettled, Ordering::SeqCst);
+    }
+
+    /// Tells whether it was started and no stop has brought it to rest since, whatever its state.
+    pub(super) fn is_unsettled(&self) -> bool {
+        self.unsettled.load(Ordering::SeqCst)
     }
 
     /// Logs a line of its code. Real-time.

@@ -1,7 +1,9 @@
 //! The Stops that were ordered here, and the decisions that they hold off.
 //!
 //! Invariant: a Stop is noted before any component is looked at, and a component is set in motion only while
-//! no Stop that was decided later names it. What is forgotten is forgotten to the safe side.
+//! no Stop that was decided later names it. The oldest are forgotten to the safe side.
+
+use std::collections::BTreeMap;
 
 use parking_lot::Mutex;
 use trocar_lcm_api::{Decision, Stop, StoppedHere};
@@ -15,7 +17,7 @@ pub(super) struct Latches(Mutex<Latched>);
 
 #[derive(Default)]
 struct Latched {
-    latches: Vec<Latch>,
+    latches: BTreeMap<Target, Latch>,
     /// Everything decided before this is held off: what was forgotten.
     floor: Decision,
     /// The last decision of which there was an order.
@@ -24,8 +26,8 @@ struct Latched {
     here: u64,
 }
 
+#[derive(Clone, Copy, Default)]
 struct Latch {
-    target: Target,
     /// The Stop that the GCM decided.
     decision: Decision,
     /// The Stop that this process was asked for itself, until the GCM has answered it; 0: none.
@@ -46,13 +48,13 @@ impl Latches {
         }
         let here = if is_here { latched.here } else { 0 };
         for target in &stop.targets {
-            let latch = latched.of(target);
+            let latch = latched.latches.entry(target.clone()).or_default();
             latch.here = latch.here.max(here);
             if !is_here {
                 latch.decision = latch.decision.max(decision);
             }
+            latched.bound();
         }
-        latched.bound();
         is_here.then(|| latched.told())
     }
 
@@ -60,11 +62,11 @@ impl Latches {
     pub(super) fn hold_off(&self, id: &ComponentId, decision: Decision) -> Option<&'static str> {
         let mut latched = self.0.lock();
         latched.seen = latched.seen.max(decision);
-        let mut naming = latched.latches.iter().filter(|latch| latch.target.names(id));
+        let mut naming = latched.latches.iter().filter(|(target, _)| target.names(id));
         if latched.floor > decision {
             return Some("Stops have been asked for since this was decided");
         }
-        naming.find_map(|latch| match latch {
+        naming.find_map(|(_, latch)| match latch {
             Latch { here: 1.., .. } => {
                 Some("it was stopped at its process, and the GCM does not know it yet")
             }
@@ -85,40 +87,35 @@ impl Latches {
 }
 
 impl Latched {
-    fn of(&mut self, target: &Target) -> &mut Latch {
-        let at = self.latches.iter().position(|latch| latch.target == *target).unwrap_or_else(|| {
-            self.latches.push(Latch { target: target.clone(), decision: Decision::NONE, here: 0 });
-            self.latches.len() - 1
-        });
-        &mut self.latches[at]
-    }
-
     /// The GCM has heard of the Stops up to `here`, and decided their own.
     fn answered(&mut self, here: u64, decision: Decision) {
-        for latch in self.latches.iter_mut().filter(|latch| (1..=here).contains(&latch.here)) {
+        for latch in self.latches.values_mut().filter(|latch| (1..=here).contains(&latch.here)) {
             (latch.here, latch.decision) = (0, latch.decision.max(decision));
         }
     }
 
-    /// Forgets the oldest targets: what was decided before them is held off for every component. A Stop that
+    /// Forgets the oldest target: what was decided before it is held off for every component. A Stop that
     /// the GCM has not answered is not forgotten.
     fn bound(&mut self) {
-        while self.latches.len() > MOST {
-            let answered = self.latches.iter().enumerate().filter(|(_, latch)| latch.here == 0);
-            let Some((oldest, _)) = answered.min_by_key(|(_, latch)| latch.decision) else {
-                // More of them than are told apart: everything is stopped here.
-                let all = self.latches.iter().map(|latch| latch.decision).max().unwrap_or_default();
-                self.latches.clear();
-                self.latches.push(Latch { target: Target::everything(), decision: all, here: self.here });
-                return;
-            };
-            self.floor = self.floor.max(self.latches.swap_remove(oldest).decision);
+        if self.latches.len() <= MOST {
+            return;
         }
+        let answered = self.latches.iter().filter(|(_, latch)| latch.here == 0);
+        if let Some(oldest) =
+            answered.min_by_key(|(_, latch)| latch.decision).map(|(target, _)| target.clone())
+        {
+            let forgotten = self.latches.remove(&oldest).unwrap_or_default();
+            self.floor = self.floor.max(forgotten.decision);
+            return;
+        }
+        // More of them than are told apart: everything is stopped here.
+        let decision = self.latches.values().map(|latch| latch.decision).max().unwrap_or_default();
+        self.latches = BTreeMap::from([(Target::everything(), Latch { decision, here: self.here })]);
     }
 
     fn told(&self) -> StoppedHere {
-        let open = self.latches.iter().filter(|latch| latch.here > 0);
-        let targets: Vec<Target> = open.map(|latch| latch.target.clone()).collect();
+        let open = self.latches.iter().filter(|(_, latch)| latch.here > 0);
+        let targets: Vec<Target> = open.map(|(target, _)| target.clone()).collect();
         StoppedHere { number: if targets.is_empty() { 0 } else { self.here }, targets }
     }
 }

@@ -29,6 +29,7 @@ pub(super) fn component_error(id: &ComponentId, entry: &'static str, e: EntryErr
 pub(super) fn make(instance: &Instance, entered: &mut Entered<'_>) -> EntryResult {
     let inner = entered.inner();
     (inner.started, inner.to_stop) = (false, false);
+    instance.set_unsettled(false);
     entered.create(instance.host_table(), &instance.id.to_string()).map_err(|e| ("create", e))?;
     // A debt of the former instance is not this one's.
     instance.watch.takes_owed_safe();
@@ -139,6 +140,7 @@ fn run(
 ) -> RunResult {
     let inner = entered.inner();
     (inner.last_begin_ns, inner.to_stop) = (0, true);
+    instance.set_unsettled(true);
     instance.set_going(false);
     let from = instance.state();
     if let Err(e) = f(entered) {
@@ -216,6 +218,7 @@ pub(super) fn stop(instance: &Instance, entered: &mut Entered<'_>) -> EntryResul
     }
     entered.inner().to_stop = false;
     let safe = instance.make_safe(entered);
+    instance.set_unsettled(false);
     instance.publish_state(entered);
     if instance.is_active() {
         instance.stopped(StopReason::Requested);

@@ -15,13 +15,13 @@ use super::fate::dismiss;
 use super::remote::awaited;
 use super::sessions::Sessions;
 
-/// Tells whether nothing of the process is known to run. A process that is here and gets its components back
-/// is RESTARTING, too.
-pub(super) fn has_ended(process: &Process, is_here: bool) -> bool {
+/// Tells whether nothing of the process runs. A process that is here and gets its components back is
+/// RESTARTING, too; how one ended before is no sign that this one has.
+fn has_ended(sessions: &Sessions, name: &Name, process: &Process) -> bool {
     match process.state {
-        _ if is_here => false,
-        ProcessState::Failed | ProcessState::Restarting => true,
-        ProcessState::Lost => !process.last_exit.is_empty(),
+        _ if sessions.holder(name).is_some() => false,
+        ProcessState::Failed => true,
+        ProcessState::Lost | ProcessState::Restarting => sessions.is_over(name),
         ProcessState::Attached => false,
     }
 }
@@ -43,12 +43,15 @@ pub(super) fn plan_away(graph: &SystemGraph, requests: &[Request]) -> Result<Pla
 }
 
 impl Gcm {
+    /// Tells whether nothing of the process runs.
+    pub(super) fn has_ended(&self, name: &Name, process: &Process) -> bool {
+        has_ended(&self.inner.sessions.lock(), name, process)
+    }
+
     /// Tells whether all requests only take something away of processes that have ended.
     pub(super) fn only_takes_away(&self, graph: &SystemGraph, requests: &[Request]) -> bool {
         let sessions = self.inner.sessions.lock();
-        let ended = |name: &Name| {
-            graph.processes.get(name).is_some_and(|p| has_ended(p, sessions.holder(name).is_some()))
-        };
+        let ended = |name: &Name| graph.processes.get(name).is_some_and(|p| has_ended(&sessions, name, p));
         let takes = |request: &Request| match request {
             Request::Forget { .. } => true,
             Request::Remove { id, .. } => ended(&id.process),
@@ -117,7 +120,7 @@ fn came_back(graph: &SystemGraph, sessions: &Sessions, request: &Request) -> Opt
     let there = graph.processes.get(process)?;
     let may_go = match there.state {
         ProcessState::Lost | ProcessState::Failed if forgets => true,
-        _ => !forgets && has_ended(there, sessions.holder(process).is_some()),
+        _ => !forgets && has_ended(sessions, process, there),
     };
     let runs = || Refusal::ProcessRuns { process: process.clone(), state: there.state, pid: there.pid };
     (!may_go).then(runs)

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use trocar_lcm_api::{Order, Report};
+use trocar_lcm_api::{Decision, Order, Report};
 use trocar_model::{
     Change, ComponentId, Health, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph, Verb,
     allowed, inverse,
@@ -73,6 +73,15 @@ impl<'a> Carrying<'a> {
         }
     }
 
+    /// Notes whether the LCM has said what became of an order to set a component in motion.
+    fn answered(&self, id: &ComponentId, done: &Result<Report, Refusal>) {
+        let mut sessions = self.gcm.inner.sessions.lock();
+        match done {
+            Err(Refusal::ProcessLost { .. } | Refusal::LcmTimeout { .. }) => sessions.not_answered(id),
+            _ => sessions.answered(id),
+        }
+    }
+
     fn sets_actuator_in_motion(&self, change: &Change) -> bool {
         let Change::Run { id, to: State::Active, .. } = change else { return false };
         let graph = self.gcm.graph();
@@ -106,6 +115,7 @@ impl<'a> Carrying<'a> {
                 return Err(refusal);
             }
         };
+        self.answered(id, &done);
         // A Stop that came meanwhile is held against it by the LCM.
         match done {
             Err(refusal @ Refusal::LcmTimeout { .. }) => {
@@ -120,7 +130,7 @@ impl<'a> Carrying<'a> {
     }
 
     fn not_stopped(&self, id: &ComponentId, verb: Verb) -> Result<(), Refusal> {
-        if !self.claim.marks(|marks| marks.stops.iter().any(|target| target.names(id))) {
+        if !self.claim.is_stopped(id) {
             return Ok(());
         }
         let state = State::Stopped(StopReason::Requested);
@@ -199,7 +209,7 @@ impl Gcm {
     pub(super) async fn claim_part<P: Into<Planned>>(
         &self,
         requests: &[Request],
-        deadline: Instant,
+        by: (Decision, Instant),
         plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
         let named = Part::named(&self.graph(), requests);
@@ -207,7 +217,7 @@ impl Gcm {
             let graph = self.graph();
             plan(&graph).map(|plan| (graph, plan.into()))
         };
-        self.inner.claims.claim(named, deadline, now).await
+        self.inner.claims.claim(named, by, now).await
     }
 }
 

@@ -4,7 +4,7 @@
 //! would wait for each other go in the order they came. A plan is made in the step that takes its part, so
 //! nothing it rests on changes before it is done.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -17,6 +17,8 @@ use trocar_model::{
 
 use super::changes::id_of;
 
+/// Most Stops that are told apart.
+const MOST_STOPS: usize = 1024;
 /// No GCM has decided so much more than the one after it.
 const AHEAD: u64 = 1 << 32;
 
@@ -137,8 +139,6 @@ impl From<Plan> for Planned {
 /// Wishes of other requests towards one that is being carried out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Marks {
-    /// Stops that came after it.
-    pub(super) stops: Vec<Target>,
     /// Components that are to be removed whatever becomes of the request.
     pub(super) removed: BTreeSet<ComponentId>,
 }
@@ -158,8 +158,13 @@ struct Entry {
 struct List {
     /// In the order of arrival.
     entries: Vec<Entry>,
+    next: u64,
     /// Number of the last request, a Stop or another one: their place among all decisions.
     last: u64,
+    /// The last Stops, in the order in which they came.
+    stops: VecDeque<(Decision, Vec<Target>)>,
+    /// The last Stop that was forgotten: for what came before it, everything was stopped.
+    forgotten: Decision,
 }
 
 impl List {
@@ -195,12 +200,27 @@ impl Claims {
     pub(super) fn decide_stop(&self, targets: &[Target]) -> Decision {
         let mut list = self.list.lock();
         let decision = Decision(list.decide());
-        for entry in &mut list.entries {
-            entry.marks.stops.extend(targets.iter().cloned());
+        list.stops.push_back((decision, targets.to_vec()));
+        if list.stops.len() > MOST_STOPS
+            && let Some((forgotten, _)) = list.stops.pop_front()
+        {
+            list.forgotten = forgotten;
         }
         drop(list);
         self.news.send_replace(());
         decision
+    }
+
+    /// Takes the place of a request among all decisions: when it comes, however long it waits then.
+    pub(super) fn arrive(&self) -> Decision {
+        Decision(self.list.lock().decide())
+    }
+
+    /// Tells whether a Stop named the component after that decision.
+    pub(super) fn is_stopped_since(&self, id: &ComponentId, decision: Decision) -> bool {
+        let list = self.list.lock();
+        let later = list.stops.iter().rev().take_while(|(stop, _)| *stop > decision);
+        list.forgotten > decision || later.into_iter().any(|(_, targets)| targets.iter().any(|t| t.names(id)))
     }
 
     /// Counts on from a decision that a process has seen: of a GCM before this one. One that no GCM can have
@@ -221,10 +241,10 @@ impl Claims {
     pub(super) async fn claim(
         &self,
         named: Part,
-        deadline: Instant,
+        (since, deadline): (Decision, Instant),
         plan: impl Fn() -> Result<(Arc<SystemGraph>, Planned), Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
-        let claim = self.queue(named.clone());
+        let claim = self.queue(named.clone(), since);
         let mut news = claim.news();
         loop {
             news.mark_unchanged();
@@ -238,12 +258,13 @@ impl Claims {
         }
     }
 
-    fn queue(&self, part: Part) -> Claim<'_> {
+    fn queue(&self, part: Part, since: Decision) -> Claim<'_> {
         let mut list = self.list.lock();
-        let number = list.decide();
+        list.next += 1;
+        let number = list.next;
         let (marks, doing) = (Marks::default(), "another request".to_owned());
         list.entries.push(Entry { number, part, under_way: false, marks, doing });
-        Claim { claims: self, number }
+        Claim { claims: self, number, since }
     }
 }
 
@@ -251,6 +272,7 @@ impl Claims {
 pub(super) struct Claim<'a> {
     claims: &'a Claims,
     number: u64,
+    since: Decision,
 }
 
 impl Drop for Claim<'_> {
@@ -265,9 +287,14 @@ impl Claim<'_> {
         self.claims.news()
     }
 
-    /// Its place among all decisions.
+    /// Place of its request among all decisions.
     pub(super) fn decision(&self) -> Decision {
-        Decision(self.number)
+        self.since
+    }
+
+    /// Tells whether a Stop named the component after the request came.
+    pub(super) fn is_stopped(&self, id: &ComponentId) -> bool {
+        self.claims.is_stopped_since(id, self.since)
     }
 
     /// Looks at, or changes, the wishes of other requests.

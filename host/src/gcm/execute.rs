@@ -6,6 +6,7 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
+use trocar_lcm_api::Decision;
 use trocar_model::{
     Change, ComponentId, Name, Plan, Refusal, Request, Safety, State, SystemGraph, Verb, brief, plan_all,
 };
@@ -27,7 +28,8 @@ impl Gcm {
     /// Whatever the plan or a component refuses; then what was done is undone. A Stop goes on over failures.
     pub async fn execute(&self, requests: Vec<Request>, options: ExecuteOptions) -> Answer {
         let deadline = options.until();
-        let answer = self.audited(&requests, &options, deadline);
+        let since = self.inner.claims.arrive();
+        let answer = self.audited(&requests, &options, (since, deadline));
         // The answer to a Stop is what stands still now, not what did when somebody asked that before.
         if is_stop(&requests) {
             return answer.await;
@@ -74,12 +76,12 @@ impl Gcm {
         &self,
         requests: &[Request],
         options: &ExecuteOptions,
-        deadline: Instant,
+        (since, deadline): (Decision, Instant),
     ) -> Answer {
         let answer = if is_stop(requests) {
             self.stop(requests, options.validate_only, deadline).await
         } else {
-            self.change(requests, options, deadline).await
+            self.change(requests, options, (since, deadline)).await
         };
         if !options.validate_only {
             audit::write(&options.identity, requests, &answer);
@@ -87,7 +89,12 @@ impl Gcm {
         answer
     }
 
-    async fn change(&self, requests: &[Request], options: &ExecuteOptions, deadline: Instant) -> Answer {
+    async fn change(
+        &self,
+        requests: &[Request],
+        options: &ExecuteOptions,
+        (since, deadline): (Decision, Instant),
+    ) -> Answer {
         if let Some(done) = self.remove_away(requests, options).await? {
             return Ok(done);
         }
@@ -118,7 +125,7 @@ impl Gcm {
             self.can_be_made(&isolated)?;
             Ok(Planned { plan, is_whole: first == requests.len() })
         };
-        let (claim, graph, plan) = match self.claim_part(requests, deadline, decide).await {
+        let (claim, graph, plan) = match self.claim_part(requests, (since, deadline), decide).await {
             // The component went with the request that had made it.
             Err(Refusal::ComponentNotFound { id, .. }) if forced == Some(&id) => {
                 return Ok(Executed { revision: self.graph().revision, ..Executed::default() });

@@ -51,6 +51,7 @@ impl Gcm {
             {
                 return false;
             }
+            sessions.has_ended(&told.process, told.fate != Fate::Running);
             let held = sessions.holder(&told.process).filter(|_| told.fate != Fate::Running);
             if let Some(session) = held {
                 lost = sessions.lose(Arc::make_mut(graph), &told.process, session);

@@ -83,6 +83,11 @@ impl Gcm {
 
     /// Enters how a component stands that was only looked at.
     pub(super) fn enter_seen(&self, report: &Report) {
+        let same =
+            |c: &Component| (c.state, c.health, &c.fault) == (report.state, report.health, &report.fault);
+        if self.graph().components.get(&report.id).is_none_or(same) {
+            return;
+        }
         let mut loose = Vec::new();
         self.edit(|graph| {
             if self.inner.sessions.lock().is_newest(report) {

@@ -60,6 +60,17 @@ impl Gcm {
         tokio::spawn(follow(gcm, who.process.clone(), session, lcm, news, asked));
         self.stop_owed(session, taken.owed);
         self.heard_stop(&who.process, stopped_here);
+        let untold = match taken.gets_back {
+            // Another incarnation moves nothing by itself.
+            Some(_) => {
+                self.inner.sessions.lock().forgets(&who.process);
+                None
+            }
+            None => self.inner.sessions.lock().take_untold(&who.process),
+        };
+        if let Some(untold) = untold {
+            self.tell_untold(&who.process, untold);
+        }
         match taken.gets_back {
             Some(here) => _ = tokio::spawn(self.clone().restore(who.process, session, here)),
             None => _ = tokio::spawn(self.clone().link_missing(who.process)),

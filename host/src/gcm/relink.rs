@@ -4,6 +4,7 @@
 
 use std::time::{Duration, Instant};
 
+use trocar_lcm_api::Decision;
 use trocar_model::{
     Connection, ConnectionId, End, Name, Plan, ProcessState, Proxy, Refusal, Request, SystemGraph,
 };
@@ -26,7 +27,7 @@ impl Gcm {
         for connection in missing {
             let (client, server) = (connection.client.clone(), connection.server.clone());
             let part = [Request::Connect { client, server, options: connection.options.clone() }];
-            let claim = self.claim_part(&part, deadline, |_| Ok(Plan::default())).await;
+            let claim = self.claim_part(&part, (Decision::NONE, deadline), |_| Ok(Plan::default())).await;
             let linked = match claim {
                 Ok(_claim) if !is_missing(&self.graph(), &connection) => Ok(()),
                 Ok(_claim) => self.link(&connection, deadline).await.map(|_| ()),

@@ -50,9 +50,10 @@ impl Gcm {
             let wanted = self.inner.sessions.lock().wanted.of(graph, &process);
             Ok(restore(graph, &process, &wanted, &here))
         };
+        let since = self.inner.claims.arrive();
         let (claim, plan) = loop {
             let planned = tokio::select! {
-                planned = self.claim_part(&[], Instant::now() + self.inner.each_change, decide) => planned,
+                planned = self.claim_part(&[], (since, Instant::now() + self.inner.each_change), decide) => planned,
                 () = self.gone(&process, session) => return,
             };
             match planned {

@@ -2,18 +2,23 @@
 //!
 //! Invariant: a name belongs to one incarnation at a time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 
 use tokio::sync::{mpsc, oneshot};
-use trocar_lcm_api::{Lcm, Report};
+use trocar_lcm_api::{Decision, Lcm, Report};
 use trocar_links::Card;
-use trocar_model::{Component, ComponentId, Connection, Health, Name, ProcessState, Refusal, SystemGraph};
+use trocar_model::{
+    Component, ComponentId, Connection, Health, Name, ProcessState, Refusal, State, SystemGraph, Target,
+};
 
 use super::guest_lcm::GuestLcm;
 use super::ids::Ids;
-use super::wanted::Wanted;
+use super::wanted::{RESTARTED, Wanted};
+
+/// Most targets of Stops that are kept for one process; more are kept as one for all of it.
+const MOST_UNTOLD: usize = 1024;
 
 /// Facts a process tells when it registers.
 #[derive(Clone, Debug)]
@@ -80,12 +85,28 @@ pub(super) struct Sessions {
     pub(super) brought: BTreeMap<Name, Vec<Connection>>,
     /// Guests that have joined without an LCM.
     pub(super) guests: BTreeMap<Name, Arc<GuestLcm>>,
+    /// Processes that their supervisor has seen end, and that have not come back since.
+    ended: BTreeSet<Name>,
+    /// Stops that a process could not be told: it is told them when it comes back as it was.
+    untold: BTreeMap<Name, Untold>,
+    /// Components for which a Start was ordered and not answered: they may be moving, whatever was seen last.
+    unanswered: BTreeSet<ComponentId>,
     /// Number of the newest report of each component; see [`Report::number`].
     reported: BTreeMap<ComponentId, u64>,
 }
 
+/// Stops that could not be told.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Untold {
+    pub(super) targets: BTreeSet<Target>,
+    /// The last of them.
+    pub(super) decision: Decision,
+}
+
 struct Session {
     number: u64,
+    /// Number of the last Stop at the process itself that was answered.
+    stopped_here: u64,
     pid: u32,
     lcm: Arc<dyn Lcm>,
     /// Questions that are answered when all present news has been entered; closed with the session.
@@ -134,6 +155,65 @@ impl Sessions {
         self.live.keys().cloned().collect()
     }
 
+    /// Notes whether the supervisor of a process has seen it end.
+    pub(super) fn has_ended(&mut self, process: &Name, ended: bool) {
+        if ended {
+            self.ended.insert(process.clone());
+        } else {
+            self.ended.remove(process);
+        }
+    }
+
+    /// Tells whether nothing of the process runs, as its supervisor has seen.
+    pub(super) fn is_over(&self, process: &Name) -> bool {
+        self.ended.contains(process) && !self.live.contains_key(process)
+    }
+
+    /// Keeps a Stop that a process could not be told.
+    pub(super) fn not_told(&mut self, process: &Name, targets: &[Target], decision: Decision) {
+        let untold = self.untold.entry(process.clone()).or_default();
+        untold.targets.extend(targets.iter().filter_map(|target| target.within(process)));
+        untold.decision = untold.decision.max(decision);
+        if untold.targets.len() > MOST_UNTOLD {
+            untold.targets = Target::everything().within(process).into_iter().collect();
+        }
+    }
+
+    /// Takes the Stops that a process, which is back as it was, could not be told.
+    pub(super) fn take_untold(&mut self, process: &Name) -> Option<Untold> {
+        self.unanswered.retain(|id| id.process != *process);
+        self.untold.remove(process)
+    }
+
+    /// Another incarnation of the process moves nothing by itself.
+    pub(super) fn forgets(&mut self, process: &Name) {
+        self.unanswered.retain(|id| id.process != *process);
+        self.untold.remove(process);
+    }
+
+    /// Notes that the order to set a component in motion was not answered.
+    pub(super) fn not_answered(&mut self, id: &ComponentId) {
+        self.unanswered.insert(id.clone());
+    }
+
+    /// Notes that it was, or that somebody saw how it stands.
+    pub(super) fn answered(&mut self, id: &ComponentId) {
+        self.unanswered.remove(id);
+    }
+
+    /// Tells whether a component of a process that is not heard may be moving.
+    pub(super) fn may_move(&self, id: &ComponentId, seen: State) -> bool {
+        matches!(seen, State::Active | RESTARTED) || self.unanswered.contains(id)
+    }
+
+    /// Takes a Stop at the process itself to be answered; false: it was.
+    pub(super) fn answers_here(&mut self, process: &Name, number: u64) -> bool {
+        let Some(session) = self.live.get_mut(process) else { return false };
+        let is_new = number > session.stopped_here;
+        session.stopped_here = number.max(session.stopped_here);
+        is_new
+    }
+
     /// The session of a process that is heard.
     pub(super) fn holder(&self, process: &Name) -> Option<u64> {
         self.live.get(process).map(|s| s.number)
@@ -154,6 +234,7 @@ impl Sessions {
         self.live.remove(process);
         self.wanted.here(process, &[]);
         self.brought.remove(process);
+        self.forgets(process);
         // Processes that were never spawned cannot be told apart by a pid.
         if pid != 0 {
             self.dismissed.insert(process.clone(), pid);
@@ -217,8 +298,12 @@ impl Sessions {
         let epoch = epoch.map_err(|e| Refusal::Internal { text: e.to_string() })?;
         self.newest += 1;
         let session = self.newest;
-        self.live.insert(who.process.clone(), Session { number: session, pid: who.pid, lcm, asks, card });
+        self.live.insert(
+            who.process.clone(),
+            Session { number: session, stopped_here: 0, pid: who.pid, lcm, asks, card },
+        );
         self.dismissed.remove(&who.process);
+        self.ended.remove(&who.process);
         self.last.insert(who.process.clone(), (who.instance, epoch));
         Ok(Claimed { session, epoch, back })
     }

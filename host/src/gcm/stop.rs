@@ -16,7 +16,7 @@ use trocar_model::{
 
 use super::Gcm;
 use super::answer::{Answer, Executed};
-use super::away::has_ended;
+use super::sessions::Untold;
 use super::wanted::RESTARTED;
 
 /// Time to stop what was stopped while nobody could be told.
@@ -30,10 +30,9 @@ struct Halting {
     deadline: Instant,
     /// What the process was asked for itself, as far as this answers it.
     known_here: u64,
+    /// The only session that it is for.
+    session: Option<u64>,
 }
-
-/// What became of it in one process.
-type Told = Result<Vec<Halted>, Refusal>;
 
 impl Gcm {
     /// Stops; never refused for a revision, never behind another request.
@@ -52,7 +51,8 @@ impl Gcm {
         }
         let counted = self.keep_stopped(&targets);
         let decision = self.inner.claims.decide_stop(&targets);
-        let halting = Halting { targets: Arc::new(targets), decision, deadline, known_here: 0 };
+        let targets = Arc::new(targets);
+        let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
         let mut done = self.halt(&halting).await?;
         let stopped = done.plan.changes.iter().any(|change| matches!(change, Change::Run { .. }));
         done.revision = if stopped && !counted { self.accepted() } else { self.graph().revision };
@@ -66,12 +66,7 @@ impl Gcm {
 
     /// Has every process that is heard stop what is named, side by side, and says what became of the rest.
     async fn halt(&self, halting: &Halting) -> Result<Executed, Refusal> {
-        let named = |process: &Name| {
-            halting.targets.iter().any(|target| match target {
-                Target::One(id) => id.process == *process,
-                Target::Glob(_) => true,
-            })
-        };
+        let named = |process: &Name| halting.targets.iter().any(|target| target.within(process).is_some());
         let heard = self.inner.sessions.lock().heard();
         let orders: Vec<_> = heard
             .into_iter()
@@ -106,16 +101,23 @@ impl Gcm {
     }
 
     /// Orders one process to stop; where it is lost meanwhile and comes back, again.
-    async fn halt_process(&self, process: &Name, halting: &Halting) -> Told {
+    async fn halt_process(&self, process: &Name, halting: &Halting) -> Result<Vec<Halted>, Refusal> {
         loop {
             let session = self.inner.sessions.lock().holder(process);
-            let stop = Stop { targets: (*halting.targets).clone(), known_here: halting.known_here };
+            if halting.session.is_some_and(|only| session != Some(only)) {
+                return Err(Refusal::lost(process.clone()));
+            }
+            let mine = halting.targets.iter().filter_map(|target| target.within(process));
+            let stop = Stop { targets: mine.collect(), known_here: halting.known_here };
             let order = Order { decision: halting.decision, ..Order::from(halting.deadline) };
             let told = match self.lcm_of(process) {
                 Ok(lcm) => self.in_time(process, "a Stop", halting.deadline, lcm.stop(stop, order)).await,
                 Err(lost) => Err(lost),
             };
-            let Err(lost @ Refusal::ProcessLost { .. }) = told else { return told };
+            let Err(lost @ Refusal::ProcessLost { .. }) = told else {
+                // A process speaks for its own components.
+                return told.map(|halted| halted.into_iter().filter(|h| h.id.process == *process).collect());
+            };
             let mut is_back = false;
             self.edit_if(|graph| {
                 let mut sessions = self.inner.sessions.lock();
@@ -139,7 +141,7 @@ impl Gcm {
     fn note(&self, halted: Vec<Halted>, done: &mut Executed) {
         for Halted { id, was, done: stopped } in halted {
             match stopped {
-                Ok(report) if matches!(was, State::Active | RESTARTED) => {
+                Ok(report) if was == State::Active || was != report.state => {
                     let change = Change::Run { id, verb: Verb::Stop, from: was, to: report.state };
                     self.enter_done(&change, &report);
                     done.plan.changes.push(change);
@@ -160,11 +162,13 @@ impl Gcm {
     /// Says what becomes of the components of a process that could not be told.
     fn not_told(&self, process: &Name, refusal: &Refusal, halting: &Halting, done: &mut Executed) {
         let graph = self.graph();
+        let mut sessions = self.inner.sessions.lock();
+        sessions.not_told(process, &halting.targets, halting.decision);
         for (id, component) in graph.components.iter().filter(|(id, _)| id.process == *process) {
             if !halting.names(id) {
                 continue;
             }
-            if matches!(component.state, State::Active | RESTARTED) {
+            if sessions.may_move(id, component.state) {
                 let not_told = Refusal::StopNotTold { id: id.clone(), why: refusal.to_string() };
                 done.failed.push((Target::One(id.clone()), not_told));
             } else {
@@ -177,8 +181,7 @@ impl Gcm {
     fn rest(&self, heard: &BTreeSet<Name>, halting: &Halting, done: &mut Executed) {
         let graph = self.graph();
         for (name, process) in graph.processes.iter().filter(|(name, _)| !heard.contains(*name)) {
-            let is_here = self.inner.sessions.lock().holder(name).is_some();
-            if !has_ended(process, is_here) {
+            if !self.has_ended(name, process) {
                 self.not_told(name, &process.lost(name), halting, done);
                 continue;
             }
@@ -234,10 +237,10 @@ impl Gcm {
                 log::warn!("{id} was stopped while its process was away, and runs: it is stopped now");
                 let request = [Request::Stop { targets: vec![Target::One(id.clone())] }];
                 match gcm.stop(&request, false, Instant::now() + WITHIN).await {
-                    // The component is stopped when the process is back again.
-                    Err(Refusal::ProcessLost { .. }) => return,
+                    Ok(done) if done.failed.is_empty() => {}
+                    // It is stopped when its process is back again.
+                    Ok(_) | Err(Refusal::StopNotTold { .. }) => return,
                     Err(refusal) => log::error!("{id} cannot be stopped: {refusal}"),
-                    Ok(_) => {}
                 }
                 let mut sessions = gcm.inner.sessions.lock();
                 if sessions.holder(&id.process) == Some(session) {
@@ -247,12 +250,33 @@ impl Gcm {
         }
     }
 
+    /// Tells a process, which has come back as it was, the Stops that it could not be told.
+    pub(super) fn tell_untold(&self, process: &Name, Untold { targets, decision }: Untold) {
+        log::warn!("process {process} is told the Stops that came while it was away");
+        let targets = Arc::new(targets.into_iter().collect::<Vec<_>>());
+        let deadline = Instant::now() + WITHIN;
+        let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
+        let (gcm, process) = (self.clone(), process.clone());
+        tokio::spawn(async move {
+            let mut done = Executed::default();
+            match gcm.halt_process(&process, &halting).await {
+                Ok(halted) => gcm.note(halted, &mut done),
+                Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
+            }
+            if !done.plan.changes.is_empty() {
+                gcm.accepted();
+            }
+        });
+    }
+
     /// Makes a Stop that a process was asked for itself one of this GCM's: what it names stays stopped, and
     /// what is decided from now on may set it in motion again. Not waited for.
     pub(super) fn heard_stop(&self, process: &Name, told: StoppedHere) {
         // A process speaks for its own components.
         let targets: Vec<Target> = told.targets.iter().filter_map(|target| target.within(process)).collect();
-        if targets.is_empty() {
+        let session = self.inner.sessions.lock().holder(process);
+        // Told by its news and by its inventory, it is answered once.
+        if targets.is_empty() || !self.inner.sessions.lock().answers_here(process, told.number) {
             return;
         }
         let names = targets.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
@@ -260,14 +284,17 @@ impl Gcm {
         let (gcm, process) = (self.clone(), process.clone());
         // Whoever enters news holds the graph, under which nothing is decided.
         tokio::spawn(async move {
+            let counted = gcm.keep_stopped(&targets);
             let decision = gcm.inner.claims.decide_stop(&targets);
             let targets = Arc::new(targets);
             let deadline = Instant::now() + WITHIN;
-            let halting = Halting { targets, decision, deadline, known_here: told.number };
+            let halting = Halting { targets, decision, deadline, known_here: told.number, session };
             match gcm.halt_process(&process, &halting).await {
                 Ok(halted) => {
                     gcm.note(halted, &mut Executed::default());
-                    gcm.accepted();
+                    if !counted {
+                        gcm.accepted();
+                    }
                 }
                 // It tells it again when it is back.
                 Err(refusal) => log::warn!("process {process} does not hear that its Stop counts: {refusal}"),

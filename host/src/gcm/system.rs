@@ -34,7 +34,8 @@ impl Gcm {
         options: &ExecuteOptions,
         deadline: Instant,
     ) -> Answer {
-        let mut attempts = 0;
+        // One request, however often it is compared.
+        let (mut attempts, since) = (0, self.inner.claims.arrive());
         loop {
             let graph = self.graph();
             let Difference { requests, left, refused, .. } = file.difference(&graph, &self.held(), prune)?;
@@ -46,7 +47,7 @@ impl Gcm {
                 ..options.clone()
             };
             attempts += 1;
-            match self.audited(&requests, &compared, deadline).await {
+            match self.audited(&requests, &compared, (since, deadline)).await {
                 Err(Refusal::RevisionConflict { .. })
                     if options.expected_revision.is_none() && attempts < ATTEMPTS => {}
                 answer => return answer.map(|done| Executed { left, ..done }),

@@ -2343,7 +2343,7 @@ pub struct StopRequest {
     /// True: answer what would be done, do nothing.
     #[prost(bool, tag = "13")]
     pub validate_only: bool,
-    /// Free text, for the audit log: a Stop is never answered from memory.
+    /// Has no effect: a Stop is never answered from memory.
     #[prost(string, tag = "14")]
     pub request_id: ::prost::alloc::string::String,
     /// Not looked at: a Stop is right at every revision.
@@ -2369,7 +2369,8 @@ pub struct StopResponse {
     /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Components that could not be stopped, with the reason; the others are.
+    /// Components that could not be stopped, and names and patterns of nothing, with the reason; all others
+    /// stand still.
     #[prost(message, repeated, tag = "6")]
     pub failed: ::prost::alloc::vec::Vec<SkippedComponent>,
 }
@@ -3197,7 +3198,7 @@ pub mod gcm_service_client {
             self.inner.unary(req, path, codec).await
         }
         /// Stops components, all at once; devices are made safe. Waits for no other request, and is refused only
-        /// where nothing of what it names can be told. A Start that was asked before it is taken back.
+        /// where nothing of what it names could be stopped. A Start that was asked before it is taken back.
         pub async fn stop(
             &mut self,
             request: impl tonic::IntoRequest<super::StopRequest>,
@@ -3638,7 +3639,7 @@ pub mod gcm_service_server {
             request: tonic::Request<super::StartRequest>,
         ) -> std::result::Result<tonic::Response<super::StartResponse>, tonic::Status>;
         /// Stops components, all at once; devices are made safe. Waits for no other request, and is refused only
-        /// where nothing of what it names can be told. A Start that was asked before it is taken back.
+        /// where nothing of what it names could be stopped. A Start that was asked before it is taken back.
         async fn stop(
             &self,
             request: tonic::Request<super::StopRequest>,
@@ -4973,7 +4974,8 @@ pub struct Inventory {
     /// True: nothing new can be made or connected in it.
     #[prost(bool, tag = "6")]
     pub unfit: bool,
-    /// Last decision of a GCM of which it has an order; the GCM that takes it in counts on from there.
+    /// Last decision of a GCM of which it has an order to start or to stop; the GCM that takes it in counts on
+    /// from there.
     #[prost(uint64, tag = "7")]
     pub decision: u64,
     /// Stops it was asked for itself that no GCM has answered yet; absent = none.

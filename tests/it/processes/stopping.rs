@@ -49,13 +49,22 @@ fn a_start_under_way_in_a_process_that_stands_still_sets_nothing_in_motion_after
         });
         let held = two.hold("right");
         starting.join().unwrap().unwrap_err();
-        // It was READY when it was seen last, so this is answered with OK.
-        two.grpc.ok("GcmService/Stop", json!({ "path": "right/**" }));
+        // It was READY when it was seen last, and nobody knows what became of the Start.
+        let answer = two.grpc.ok("GcmService/Stop", json!({ "path": "right/**" }));
+        let failed = answer["failed"].as_array().unwrap().iter();
+        let failed: Vec<&str> = failed.filter_map(|f| f["path"].as_str()).collect();
+        assert_eq!(failed, ["right/c", "right/s"], "{answer}");
+        assert!(answer["failed"][0]["why"].to_string().contains("may be moving"), "{answer}");
         kill("-CONT", pid(&held));
     });
     eventually("the process is back", || match two.host("right") {
         now if now["state"] == "PROCESS_STATE_ATTACHED" => Ok(()),
         now => Err(now.to_string()),
+    });
+    stands(&two, "right/s", "STOP_REASON_REQUESTED");
+    eventually("its start has come back", || match two.grpc.component("right/c")["health"].as_str() {
+        Some("HEALTH_OK") => Ok(()),
+        other => Err(format!("{other:?}")),
     });
     two.grpc.ok("GcmService/Start", json!({ "path": "right/s" }));
     does_not_move(&two, "right/c");

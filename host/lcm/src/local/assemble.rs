@@ -354,7 +354,7 @@ impl LocalLcm {
         join_all(named.into_iter().map(async |(id, slot)| {
             let was = slot.instance.state();
             goes_on_no_more(&slot);
-            // A Start under way takes itself back, and is waited for.
+            // A Start under way takes itself back, and is waited for, as is a stop under way.
             let done = match runs(&slot, was) {
                 true => self.stop_one(&slot, order.deadline).await,
                 false => Ok(slot.instance.report(false)),
@@ -373,7 +373,7 @@ impl LocalLcm {
         slot.instance.refuse_queued(slot.instance.turned_away());
         let work = |instance: &Instance, entered: &mut Entered<'_>| match instance.state() {
             // Never started, or a start that came too late was reverted.
-            State::Created | State::Ready => Ok(()),
+            State::Created | State::Ready if !entered.inner().to_stop => Ok(()),
             // At the end of a host all are stopped: a component that has stopped already does not stop again.
             State::Stopped(_) if !entered.inner().to_stop => Ok(()),
             _ => stop(instance, entered),
@@ -516,10 +516,17 @@ fn goes_on_no_more(slot: &Slot) {
     slot.instance.set_state_from(from, to, "");
 }
 
-/// Tells whether the component runs, or its code is being started.
+/// Tells whether the component runs, is being started, or has not been brought to rest since. One in FAULT
+/// was made safe when it failed.
 fn runs(slot: &Slot, state: State) -> bool {
     let starts = |busy: Busy| matches!(busy.entry, Entry::Start | Entry::Resume);
-    state == State::Active || slot.instance.watch.busy().is_some_and(starts)
+    match state {
+        State::Active => true,
+        State::Fault => false,
+        State::Created | State::Ready | State::Stopped(_) => {
+            slot.instance.is_unsettled() || slot.instance.watch.busy().is_some_and(starts)
+        }
+    }
 }
 
 /// Ends when the component has been unresponsive for so long that no caller should wait for it any more.

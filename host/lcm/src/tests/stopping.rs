@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use tokio::sync::watch;
 use trocar_model::{StopReason, Target};
 
+use super::super::watch::Entry;
 use super::super::{Decision, Halted, Lease, News, Order, Stop};
 use super::supervision::{Stuck, comes};
 use super::*;
@@ -105,17 +106,23 @@ async fn a_start_whose_gcm_is_lost_meanwhile_is_taken_back() {
         let (arm, open) = Stuck::in_entry("start");
         world.create_as(name, class(ctl(), Safety::Actuator), periodic(1000), arm.clone()).await;
         let (session, heard) = watch::channel(Instant::now());
-        let lease = Lease::new(heard, if is_told { PATIENCE } else { Duration::ZERO });
-        // One that stood still finds out by the clock: nobody tells it before its code comes back.
+        let lease = Lease::new(heard, PATIENCE);
         let starting = world.run_by(name, Verb::Start, Order { lease, ..order(5) });
         let losing = async {
-            if is_told {
-                world.is_inside(name).await;
-                drop(session);
-            }
+            world.is_inside(name).await;
+            // One that stood still finds out by the clock: nobody tells it before its code comes back.
+            let long_ago = Instant::now() - 2 * PATIENCE;
+            let session = match is_told {
+                true => None,
+                false => {
+                    session.send_replace(long_ago);
+                    Some(session)
+                }
+            };
             open.send(()).unwrap();
+            session
         };
-        let (started, ()) = tokio::join!(starting, losing);
+        let (started, _session) = tokio::join!(starting, losing);
         let refusal = started.unwrap_err();
         assert!(["LCM_TIMEOUT", "WRONG_STATE"].contains(&refusal.reason()), "{refusal}");
         world.eventually("READY", name, |r| r.state == State::Ready).await;
@@ -165,5 +172,34 @@ async fn a_stop_waits_for_no_entry_that_sets_nothing_in_motion() {
     };
     let ((), ()) = tokio::join!(configuring, stopping);
     assert_eq!(world.report("other").await.state, STOPPED);
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_stop_is_answered_when_the_first_has_brought_it_to_rest() {
+    let world = World::new("st_twice");
+    let (arm, open) = Stuck::in_entry("stop");
+    world.create_as("arm", class(ctl(), Safety::Actuator), periodic(1000), arm.clone()).await;
+    world.start_by("arm", 1).await.unwrap();
+    let first = world.stop_by("arm", Decision(2));
+    let second = async {
+        let instance = world.lcm.instance(&world.id("arm")).unwrap();
+        let stopping = || instance.watch.busy().is_some_and(|busy| busy.entry == Entry::Stop);
+        eventually("its stop is entered", stopping).await;
+        let mut second = std::pin::pin!(world.stop_by("arm", Decision(3)));
+        tokio::select! {
+            biased;
+            early = &mut second => panic!("{early:?} although it is not at rest"),
+            () = std::future::ready(()) => {}
+        }
+        open.send(()).unwrap();
+        let second = second.await;
+        assert_eq!(arm.made_safe(), 1, "answered before it was made safe");
+        second
+    };
+    let (first, second) = tokio::join!(first, second);
+    for halted in first.iter().chain(&second) {
+        assert_eq!(halted.done.as_ref().unwrap().state, STOPPED);
+    }
     world.end().await;
 }

@@ -68,6 +68,10 @@ impl Behaviour for Stuck {
         self.pass("resume");
         Ok(())
     }
+    fn stop(&self) -> Result<(), String> {
+        self.pass("stop");
+        Ok(())
+    }
     fn make_safe(&self) -> Result<(), String> {
         self.made_safe.fetch_add(1, Ordering::SeqCst);
         Ok(())

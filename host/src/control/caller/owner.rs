@@ -160,12 +160,21 @@ mod tests {
 
     #[tokio::test]
     async fn whoever_asked_and_reset_the_connection_is_nobody_though_another_has_its_address_now() {
-        let (here, mut caller) = pair("127.0.0.1:0").await;
+        // An address of this process alone: of others, any program of the machine may be given a port that is
+        // free for a moment.
+        let [_, b, c, d] = std::process::id().to_be_bytes();
+        let alone = std::net::SocketAddr::from(([127, 64 | b, c, d | 1], 0));
+        let listener = TcpListener::bind(alone).await.unwrap();
+        let socket = tokio::net::TcpSocket::new_v4().unwrap();
+        socket.bind(alone).unwrap();
+        let mut caller = socket.connect(listener.local_addr().unwrap()).await.unwrap();
+        let here = listener.accept().await.unwrap().0;
+        drop(listener);
         let (to, from) = (here.local_addr().unwrap(), here.peer_addr().unwrap());
         caller.write_all(b"a request").await.unwrap();
         caller.set_zero_linger().unwrap();
         drop(caller);
-        // The listener is gone with `pair`; a socket of the same two addresses is made by binding both ends.
+        // A socket of the same two addresses is made by binding both ends.
         let listener = tokio::net::TcpSocket::new_v4().unwrap();
         listener.set_reuseaddr(true).unwrap();
         listener.bind(to).unwrap();

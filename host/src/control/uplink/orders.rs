@@ -75,7 +75,7 @@ impl Orders {
                     Err(unread) => return give(&answers, id, Err(unread)).await,
                 };
                 // Such an order is not waited for long, and cannot be taken back.
-                let busy = match takes_away(&change) {
+                let busy = match is_short(&change) {
                     true => Some(ours.quiet.clone().read_owned().await),
                     false => None,
                 };
@@ -149,8 +149,8 @@ impl Ours {
     async fn link(&self, end: v1::LinkOrder, by: Order) -> Result<v1::ComponentReport, Refusal> {
         let end = convert::remote_in(end)?;
         let change = Change::Connect { connection: end.connection.clone() };
+        let _busy = self.quiet.clone().read_owned().await;
         let report = self.lcm.link(end, by.deadline).await?;
-        let _busy = self.made(&change, &by.lease).await?;
         self.remember(change, &report);
         Ok(convert::report(&report))
     }
@@ -165,14 +165,15 @@ impl Ours {
         Ok(convert::halted_out(halted))
     }
 
-    /// Waits until no Hello is on its way. A change whose GCM was lost meanwhile is taken back: its caller
-    /// was told that it failed.
+    /// Keeps a Hello from being sent before the change is remembered. A change whose GCM was lost meanwhile
+    /// is taken back: its caller was told that it failed.
     ///
     /// # Errors
     /// It was taken back.
     async fn made(&self, change: &Change, lease: &Lease) -> Result<OwnedRwLockReadGuard<()>, Refusal> {
-        let busy = self.quiet.clone().read_owned().await;
-        if !lease.has_ended() {
+        // While a Hello is on its way, the session is over.
+        let busy = self.quiet.clone().try_read_owned().ok();
+        if let Some(busy) = busy.filter(|_| !lease.is_over()) {
             return Ok(busy);
         }
         let (what, process) = (asked(change), id_of(change).process.clone());
@@ -192,12 +193,14 @@ impl Ours {
     }
 }
 
-/// Tells whether a change only takes something away, or brings it to rest.
-fn takes_away(change: &Change) -> bool {
+/// Tells whether a change enters no code of a component that may take long: it only takes something away,
+/// brings it to rest, or connects. A number of a connection may be given again by the next GCM, so that
+/// connections are not taken back.
+fn is_short(change: &Change) -> bool {
     match change {
-        Change::Destroy { .. } | Change::Disconnect { .. } => true,
+        Change::Destroy { .. } | Change::Disconnect { .. } | Change::Connect { .. } => true,
         Change::Run { verb, .. } => matches!(verb, Verb::Stop | Verb::Remove),
-        Change::Create { .. } | Change::Configure { .. } | Change::Connect { .. } => false,
+        Change::Create { .. } | Change::Configure { .. } => false,
     }
 }
 

@@ -91,7 +91,8 @@ impl Session {
         let mut tasks = JoinSet::new();
         tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
         let (heard, lease) = watch::channel(Instant::now());
-        let lease = Lease::new(lease, BEAT * LEASE);
+        // By then the beats that were missed have ended the session, too.
+        let lease = Lease::new(lease, BEAT * (LEASE + 1));
         let orders = Orders::new(lcm, told, quiet, answer, lease);
         Ok(Session { inbound, out, orders, early, tasks, heard, epoch })
     }

@@ -173,3 +173,56 @@ async fn a_gcm_that_knows_nothing_counts_on_from_what_its_processes_have_seen() 
     ask(&other, vec![start("host/a")]).await.unwrap();
     assert_eq!(lcm.state("host/a"), Some(State::Active), "its Start is later than every Stop before");
 }
+
+#[tokio::test]
+async fn a_start_whose_answer_was_lost_may_be_moving_and_is_stopped_when_its_process_is_back() {
+    let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+    let who = host();
+    let session = register(&gcm, who.clone(), lcm.clone()).await.unwrap().session;
+    ask(&gcm, vec![create("host/a"), create("host/b")]).await.unwrap();
+    lcm.lose_at("Start host/a");
+    ask(&gcm, vec![start("host/a")]).await.unwrap_err();
+    lcm.become_state("host/a", State::Active, "");
+    gcm.lost(&name("host"), session);
+    let done = ask(&gcm, vec![stop("host/**")]).await.unwrap();
+    let [(target, not_told)] = &done.failed[..] else { panic!("{done:?}") };
+    assert_eq!((target.to_string().as_str(), not_told.reason()), ("host/a", "STOP_NOT_TOLD"));
+    register(&gcm, who, lcm.clone()).await.unwrap();
+    until(&gcm, "it is stopped", |graph| graph.components[&id("host/a")].state == STOPPED).await;
+    assert_eq!(lcm.state("host/a"), Some(STOPPED));
+    ask(&gcm, vec![start("host/*")]).await.unwrap();
+    assert_eq!(lcm.state("host/a"), Some(State::Active), "asked after it was told");
+}
+
+#[tokio::test]
+async fn how_a_process_ended_before_is_no_sign_that_it_has_ended_now() {
+    let (gcm, lcm) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("host"));
+    let who = host();
+    let pid = who.pid;
+    let session = register(&gcm, who, lcm).await.unwrap().session;
+    ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+    let (process, last_exit) = (name("host"), "was killed by SIGKILL".to_owned());
+    gcm.told(&Told { process, fate: Fate::Running, pid, last_exit, restarts: 1 });
+    gcm.lost(&name("host"), session);
+    assert_eq!(ask(&gcm, vec![stop("host/a")]).await.unwrap_err().reason(), "STOP_NOT_TOLD");
+}
+
+#[tokio::test]
+async fn a_file_that_was_applied_before_a_stop_starts_nothing_after_it() {
+    let (gcm, lcm) = running(&["host/a"]).await;
+    let file = r#"{ "version": 1, "processes": { "host": {} },
+        "components": { "host/a": { "class": "arm", "config": { "gain": 2.0 } } } }"#;
+    lcm.hold("Create host/b");
+    let creating = tokio::spawn({
+        let gcm = gcm.clone();
+        async move { ask(&gcm, vec![create("host/b"), stop("host/a"), start("host/a")]).await }
+    });
+    lcm.hangs("Create host/b").await;
+    let mut applying = std::pin::pin!(gcm.apply_system(file, false, ExecuteOptions::default()));
+    begun(applying.as_mut()).await;
+    ask(&gcm, vec![stop("host/a")]).await.unwrap();
+    lcm.release("Create host/b");
+    creating.await.unwrap().unwrap_err();
+    let applied = applying.await;
+    assert_eq!(lcm.state("host/a"), Some(STOPPED), "{applied:?}: {:?}", lcm.done());
+}

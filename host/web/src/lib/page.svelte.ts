@@ -12,6 +12,19 @@ interface Note {
   tone: 'good' | 'warn' | 'bad';
 }
 
+/// A path, and why nothing was done there.
+interface Left {
+  path: string;
+  why: string;
+}
+
+/// The parts of an answer to a change that are told.
+interface Answer {
+  warnings?: string[];
+  skipped?: Left[];
+  failed?: Left[];
+}
+
 const query = new URLSearchParams(location.search);
 /// A window with room below the graph for a panel or for the dock (App.svelte hides the dock).
 const narrow = matchMedia('(max-width: 760px)');
@@ -65,12 +78,15 @@ class Page {
   }
 
   /// Does what was asked and tells what became of it.
-  async ask(what: string, call: () => Promise<{ warnings?: string[]; skipped?: { path: string; why: string }[] }>): Promise<boolean> {
+  async ask(what: string, call: () => Promise<Answer>): Promise<boolean> {
     try {
       const answer = await call();
       for (const s of answer.skipped ?? []) this.tell(`${what}: ${s.path} was left alone: ${s.why}`, true);
-      for (const w of answer.warnings ?? []) this.warn(`${what}: ${w}`);
-      if (!answer.skipped?.length) this.tell(`${what}: done`);
+      for (const f of answer.failed ?? []) this.tell(`${what}: ${f.path}: ${f.why}`, true);
+      // What failed is a warning, too, for programs that do not look there.
+      const failed = new Set(answer.failed?.map((f) => `${f.path}: ${f.why}`));
+      for (const w of answer.warnings ?? []) if (!failed.has(w)) this.warn(`${what}: ${w}`);
+      if (!answer.skipped?.length && !failed.size) this.tell(`${what}: done`);
       return true;
     } catch (error) {
       const code = Code[ConnectError.from(error).code];
