@@ -113,7 +113,10 @@ async fn a_start_whose_gcm_is_lost_meanwhile_is_taken_back() {
             // One that stood still finds out by the clock: nobody tells it before its code comes back.
             let long_ago = Instant::now() - 2 * PATIENCE;
             let session = match is_told {
-                true => None,
+                true => {
+                    drop(session);
+                    None
+                }
                 false => {
                     session.send_replace(long_ago);
                     Some(session)
