@@ -200,6 +200,50 @@ export async function a_wire_shows_what_is_dropped_and_that_nothing_flows_any_mo
   await page.locator('[data-connection]:not(.stalled)', { hasText: '/s' }).waitFor();
 }
 
+export async function a_source_that_gives_when_it_has_something_is_at_rest_and_one_with_a_period_is_stalled(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  for (const name of ['echo', 'last']) await create(host.addr, 'echo', `host/${name}`);
+  await connect(host.addr, 'host/echo/sample', 'host/sine/value');
+  await connect(host.addr, 'host/last/sample', 'host/echo/sample_out');
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  const line = (from, to) => page.locator(`[data-connection="host/${from} → host/${to}/sample"]`);
+  for (const one of [line('sine/value', 'echo'), line('echo/sample_out', 'last')]) await one.filter({ hasText: /[1-9].*\/s/ }).waitFor();
+  await grpcurl(host.addr, 'GcmService/Stop', { path: 'host/sine' });
+  await line('sine/value', 'echo').and(page.locator('.stalled')).filter({ hasText: 'stalled' }).waitFor();
+  // It steps when a sample comes: that none comes is no fault of this line.
+  await line('echo/sample_out', 'last').and(page.locator('.resting:not(.stalled)')).filter({ hasText: 'at rest' }).waitFor();
+  await line('echo/sample_out', 'last').click();
+  await page.locator('.inspector dt:text-is("rate") + dd:not(.bad)', { hasText: '0/s, at rest' }).waitFor();
+  await shot(page, 'at-rest');
+  await grpcurl(host.addr, 'GcmService/Resume', { path: 'host/sine' });
+  for (const one of [line('sine/value', 'echo'), line('echo/sample_out', 'last')]) await one.and(page.locator(':not(.stalled):not(.resting)')).filter({ hasText: /[1-9].*\/s/ }).waitFor();
+}
+
+export async function a_line_tells_the_carrier_depth_and_latency_that_list_has_and_a_dash_where_none_is_measured(world) {
+  const host = await world.host();
+  await create(host.addr, 'sine', 'host/sine');
+  for (const name of ['echo', 'asked']) await create(host.addr, 'echo', `host/${name}`);
+  await connect(host.addr, 'host/echo/sample', 'host/sine/value');
+  await connect(host.addr, 'host/echo/peer', 'host/asked/ctl');
+  await start(host.addr, 'host/**');
+  const page = await world.viewer(host.addr);
+  await settled(page);
+  const row = (name) => page.locator(`.inspector dt:text-is("${name}") + dd`);
+  for (const [client, latency] of [['host/echo/sample', /^p50 \S+ .s, p99 /], ['host/echo/peer', /^–$/]]) {
+    const listed = async () => (await grpcurl(host.addr, 'GcmService/List', {})).connections.find((c) => c.client === client);
+    const { carrier, depth } = await eventually('List has a carrier', async () => { const c = await listed(); return c.carrier && c; }, listed);
+    await page.locator(`.svelte-flow__edge[aria-label$="to ${client}"]`).focus();
+    await page.keyboard.press('Enter');
+    await row('client').filter({ hasText: client }).waitFor();
+    for (const [name, value] of [['carrier', carrier], ['depth', depth]]) await row(name).filter({ hasText: new RegExp(`^${value}$`) }).waitFor();
+    await row('latency').filter({ hasText: latency }).waitFor();
+  }
+  await shot(page, 'line-details');
+}
+
 export async function a_killed_process_is_shown_lost_and_healed_without_a_reload(world) {
   const { gcm, right } = await twoProcesses(world);
   const page = await world.viewer(gcm.addr);

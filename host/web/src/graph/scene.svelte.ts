@@ -1,4 +1,6 @@
-/// The cards as they stand, for what is drawn between them.
+/// What stands in the graph, for what is drawn between it.
+import { SvelteMap } from 'svelte/reactivity';
+import { placed, type Wanted } from '../lib/labels';
 import type { Box } from '../lib/layout';
 
 class Scene {
@@ -8,6 +10,11 @@ class Scene {
   moving = $state(false);
   /// Letters are drawn so many times as large, so that they can be read from afar.
   letters = $state(1);
+  /// From afar a label of a wire says a rate and no more, from farther away nothing.
+  labels = $state<'all' | 'rate' | 'none'>('all');
+  /// Labels that want a place, by the id of their wire.
+  wanted = new SvelteMap<string, Wanted>();
+  spots = $derived(placed(this.wanted, this.cards));
 }
 
 export const scene = new Scene();

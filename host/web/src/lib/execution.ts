@@ -3,6 +3,7 @@
 /// Invariant: nothing here decides what is sent; the server judges.
 import type { ClassInfo, Execution } from '../gen/trocar/v1/types_pb';
 import type { Schema, Values } from './schema';
+import { system } from './system.svelte';
 
 type Duration = { seconds: bigint; nanos: number };
 
@@ -48,4 +49,14 @@ export function madeFor(info?: ClassInfo): string {
   const [low, high] = [hertz(limits?.maxPeriod), hertz(limits?.minPeriod)];
   const rates = low === undefined && high === undefined ? '' : `, ${low ?? 0} … ${high ?? '∞'} Hz`;
   return `${limits?.models.length ? limits.models.join(', ') : 'any model'}${rates}`;
+}
+
+/// Whether a component steps at a rate that is known, by itself or with the one whose thread or step it
+/// shares: not where a signal, a callback or what it finds to do makes it step.
+export function isPaced(path: string, deep = 0): boolean {
+  const e = system.components.get(path)?.execution;
+  if (!e || deep > 8) return false;
+  const [rate, other] = [e.rateHz ?? hertz(e.period), e.inside || e.streamOf];
+  if (other) return isPaced(other, deep + 1);
+  return (e.model === 'periodic' || e.model === 'stream') && rate !== undefined && rate > 0;
 }

@@ -4,11 +4,16 @@
 import { SvelteMap } from 'svelte/reactivity';
 import type { Connection } from '../gen/trocar/v1/types_pb';
 import { gcm } from './api';
+import { isPaced } from './execution';
+import { offers } from './ports.svelte';
 import { system } from './system.svelte';
+import { componentOf } from './words';
 
 const EVERY = 1000;
 /// Answers a rate is taken over: one that was long on its way shifts it less.
 const OVER = 4;
+/// A source gives at each step where it gave this share of its steps something: it may have skipped the rest.
+const EACH = 0.8;
 
 export interface EdgeFigures {
   /// Samples, commands and events per second; bytes per second.
@@ -22,18 +27,32 @@ export interface EdgeFigures {
   skipped: number;
   dropping: number;
   failed: number;
-  /// It carried something before, and now nothing does.
+  /// It carried something before, and nothing now.
+  resting: boolean;
+  /// Nor is that as it should be: its source gives at each step of a known period, or what it gives is not
+  /// taken.
   stalled: boolean;
+}
+
+/// What List said of a connection, and how many steps its source had executed then.
+interface Look {
+  at: number;
+  c: Connection;
+  steps: bigint | undefined;
 }
 
 class Figures {
   edges = new SvelteMap<string, EdgeFigures>();
+  /// As List told them last: Watch tells no carrier, depth or wake-up.
+  listed = new SvelteMap<string, Connection>();
   steps = new SvelteMap<string, number>();
   warnings = $state<string[]>([]);
   /// The last answers, oldest first.
-  #before = new Map<string, { at: number; c: Connection }[]>();
+  #before = new Map<string, Look[]>();
   #executed = new Map<string, { at: number; n: bigint }[]>();
   #quiet = new Map<string, number>();
+  /// Connections whose source gave at each of its steps, of a known period, while they carried something.
+  #steady = new Set<string>();
   #stop: AbortController | null = null;
 
   async follow() {
@@ -44,7 +63,7 @@ class Figures {
         const asked = performance.now();
         const list = await gcm.list({}, { signal: stop.signal, timeoutMs: 4000 });
         const at = (asked + performance.now()) / 2;
-        this.#take(list.connections, at);
+        this.#take(list.connections, at, new Map(list.components.map((c) => [c.path, c.stats?.executed])));
         this.warnings = list.warnings;
         for (const c of list.components) {
           const shown = system.components.get(c.path);
@@ -72,23 +91,28 @@ class Figures {
     this.#stop = null;
   }
 
-  #take(connections: Connection[], at: number) {
+  #take(connections: Connection[], at: number, steps: Map<string, bigint | undefined>) {
     const seen = new Set<string>();
     for (const c of connections) {
       const id = String(c.id);
       seen.add(id);
+      this.listed.set(id, c);
       let past = this.#before.get(id) ?? [];
       if (past.length && c.passed < past.at(-1)!.c.passed) past = [];
-      this.#before.set(id, [...past, { at, c }].slice(-OVER));
+      const now: Look = { at, c, steps: steps.get(componentOf(c.server)) };
+      this.#before.set(id, [...past, now].slice(-OVER));
       const old = past[0];
       if (!old) continue;
       const seconds = (at - old.at) / 1000;
       const moving = c.passed > past.at(-1)!.c.passed;
       const rate = moving ? Number(c.passed - old.c.passed) / seconds : 0;
+      if (moving) this.#learn(id, old, now);
       const was = this.edges.get(id);
-      const quiet = rate === 0 && was && (was.rate > 0.7 || was.stalled || this.#quiet.has(id)) ? (this.#quiet.get(id) ?? 0) + 1 : 0;
+      const quiet = rate === 0 && was && (was.rate > 0.7 || this.#quiet.has(id)) ? (this.#quiet.get(id) ?? 0) + 1 : 0;
       if (quiet) this.#quiet.set(id, quiet);
       else this.#quiet.delete(id);
+      const notTaken = c.dropped + c.skipped > past.at(-1)!.c.dropped + past.at(-1)!.c.skipped;
+      const stalled = quiet >= 2 && (this.#steady.has(id) || notTaken);
       this.edges.set(id, {
         rate,
         bytes: Number(c.bytes - old.c.bytes) / seconds,
@@ -98,11 +122,21 @@ class Figures {
         skipped: Number(c.skipped),
         dropping: Number(c.dropped - old.c.dropped) / seconds,
         failed: Number(c.failed),
-        stalled: quiet >= 2,
+        resting: quiet >= 2 && !stalled,
+        stalled,
       });
     }
-    for (const id of [...this.edges.keys()]) if (!seen.has(id)) this.edges.delete(id);
-    for (const id of [...this.#before.keys()]) if (!seen.has(id)) this.#before.delete(id);
+    for (const all of [this.edges, this.listed, this.#before, this.#quiet]) for (const id of [...all.keys()]) if (!seen.has(id)) all.delete(id);
+    for (const id of [...this.#steady]) if (!seen.has(id)) this.#steady.delete(id);
+  }
+
+  /// Whether a period of this connection is known: its source has one, and gives something at each step.
+  #learn(id: string, old: Look, now: Look) {
+    if (old.steps === undefined || now.steps === undefined || now.steps <= old.steps) return;
+    const given = (c: Connection) => Number(c.passed + c.dropped + c.skipped);
+    const isEach = given(now.c) - given(old.c) >= EACH * Number(now.steps - old.steps);
+    if (isEach && offers.port(now.c.server)?.kind === 'output' && isPaced(componentOf(now.c.server))) this.#steady.add(id);
+    else this.#steady.delete(id);
   }
 }
 

@@ -72,6 +72,11 @@ export function span(ns: number): string {
   return `${Math.round(ns)} ns`;
 }
 
+/// A latency; nothing where none was measured, as of commands.
+export function measured(ns: number): string {
+  return ns > 0 ? span(ns) : '–';
+}
+
 export function clock(wallNs: bigint): string {
   return new Date(Number(wallNs / 1000000n)).toLocaleTimeString([], { hour12: false });
 }
@@ -99,7 +104,7 @@ export function colourOf(hash: string): string {
 export function size(bytes: number): string {
   if (bytes >= 1e9) return `${(bytes / 1e9).toFixed(2)} GB`;
   if (bytes >= 1e6) return `${(bytes / 1e6).toFixed(1)} MB`;
-  return bytes >= 1e3 ? `${(bytes / 1e3).toFixed(1)} kB` : `${bytes} B`;
+  return bytes >= 1e3 ? `${(bytes / 1e3).toFixed(1)} kB` : `${Math.round(bytes)} B`;
 }
 
 /// 75 s → "1:15".
@@ -109,7 +114,7 @@ export function lasting(s: number): string {
   return h ? `${h}:${two(m)}:${two(rest)}` : `${m}:${two(rest)}`;
 }
 
-/// "1 output", "2 outputs".
-export function count(n: number, one: string): string {
-  return `${n} ${one}${n === 1 ? '' : one.endsWith('s') ? 'es' : 's'}`;
+/// "1 output", "2 outputs"; `written`: the number as it is written.
+export function count(n: number, one: string, written = String(n)): string {
+  return `${written} ${one}${n === 1 ? '' : one.endsWith('s') ? 'es' : 's'}`;
 }
