@@ -49,6 +49,80 @@ export async function the_demo_can_be_read_at_first_sight_and_no_wire_goes_throu
   }
 }
 
+/// What labels of lines cover, what is cut of names and footers, and names of which a word is broken.
+const muddled = (page) =>
+  page.evaluate(() => {
+    const boxes = (of) => [...document.querySelectorAll(of)].map((e) => ({ e, b: e.getBoundingClientRect() })).filter(({ b }) => b.width > 0);
+    const area = (a, b) => Math.max(0, Math.min(a.right, b.right) - Math.max(a.left, b.left) - 1) * Math.max(0, Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) - 1);
+    const [labels, cards, handles] = [boxes('.flow'), boxes('[data-path]'), boxes('.svelte-flow__handle')];
+    const name = (e) => e.dataset.connection ?? e.dataset.path ?? `${e.closest('[data-path]')?.dataset.path} ${e.dataset.handleid ?? e.textContent}`;
+    const found = [];
+    labels.forEach(({ e, b }, n) => {
+      for (const other of [...cards, ...handles, ...labels.slice(n + 1)]) if (area(b, other.b) > 0) found.push(`the label of ${name(e)} covers ${name(other.e)}`);
+      if (e.scrollWidth > e.clientWidth + 1) found.push(`the label of ${name(e)} is cut`);
+    });
+    for (const { e } of [...boxes('.component footer'), ...boxes('.component footer span'), ...boxes('.process header .pid'), ...boxes('.component strong span')]) if (e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).display !== 'inline') found.push(`cut: ${name(e)}`);
+    for (const { e } of boxes('.component strong span')) if (e.getClientRects().length > 1) found.push(`broken: ${name(e)}`);
+    return found;
+  });
+
+export async function labels_cover_no_card_port_or_other_label_and_no_word_is_broken_or_cut(world) {
+  const demo = await world.demo();
+  const tablet = { viewport: { width: 820, height: 1180 }, hasTouch: true, isMobile: true };
+  for (const options of [{ viewport: { width: 1366, height: 768 } }, { viewport: { width: 1920, height: 1080 } }, tablet]) {
+    const page = await world.viewer(demo.addr, '', options);
+    const at = options.viewport.width;
+    await settled(page);
+    await eventually('figures stand at the lines', async () => (await page.locator('.flow:visible', { hasText: /[1-9].*\/s/ }).count()) > 5, () => page.locator('.flow:visible').allInnerTexts());
+    // Digits change: what is seen is looked at more than once.
+    for (let n = 0; n < 4; n += 1) {
+      is(await muddled(page), [], `at ${at}`);
+      await page.waitForResponse((r) => r.url().endsWith('GcmService/List'));
+    }
+    await shot(page, `labels-${at}`);
+    await box(page, 'host/robot').locator('header').click();
+    await page.locator('.inspector').waitFor();
+    await settled(page);
+    is(await muddled(page), [], `at ${at}, beside a panel`);
+    await shot(page, `labels-panel-${at}`);
+    await page.context().close();
+  }
+}
+
+export async function a_click_on_a_line_leaves_no_card_below_the_panel_buttons_or_overview_as_a_click_on_a_card_does(world) {
+  const demo = await world.demo();
+  const page = await world.viewer(demo.addr, '', { viewport: { width: 1366, height: 768 } });
+  await settled(page);
+  const paths = await page.locator('[data-path]').evaluateAll((all) => all.map((e) => e.dataset.path));
+  const below = async () => (await Promise.all(paths.map(async (path) => [path, ...(await covered(page, path))]))).filter((c) => c.length > 1);
+  const line = page.locator('[data-connection="host/robot/arm → host/bscan/robot"]:visible');
+  for (const click of [() => line.click(), () => box(page, 'host/robot').locator('header').click()]) {
+    await line.waitFor();
+    await click();
+    await page.locator('.inspector').waitFor();
+    await eventually('each card is seen whole', async () => (await below()).length === 0, below);
+    await shot(page, 'line-panel');
+    await page.keyboard.press('Escape');
+    await page.locator('.inspector').waitFor({ state: 'detached' });
+    await eventually('the graph has its room again', async () => (await below()).length === 0, below);
+  }
+  // A view that was moved shows both ends of the line that is clicked, and the overview covers no card.
+  await page.locator('.svelte-flow__controls-zoomin').click();
+  await page.locator('.svelte-flow__edge[aria-label="host/depth/depth to host/depth_map/picture"]').focus();
+  await page.keyboard.press('Enter');
+  await page.locator('.inspector').waitFor();
+  const ends = async () => (await Promise.all(['host/depth', 'host/depth_map'].map((path) => covered(page, path)))).flat();
+  await eventually('both ends are seen', async () => (await ends()).length === 0, ends);
+  const map = page.locator('.svelte-flow__minimap');
+  const over = async () => {
+    if (!(await map.count())) return [];
+    const m = await map.boundingBox();
+    return page.locator('[data-path]').evaluateAll((all, m) => all.filter((e) => { const b = e.getBoundingClientRect(); return b.right > m.x + 1 && b.left < m.x + m.width - 1 && b.bottom > m.y + 1 && b.top < m.y + m.height - 1; }).map((e) => e.dataset.path), m);
+  };
+  await eventually('the overview covers no card', async () => (await over()).length === 0, over);
+  await shot(page, 'line-moved-view');
+}
+
 export async function a_tall_window_gets_a_tall_picture_whose_names_can_be_read(world) {
   const demo = await world.demo();
   const page = await world.viewer(demo.addr, '', { viewport: { width: 820, height: 1180 }, hasTouch: true, isMobile: true });

@@ -81,6 +81,15 @@ export async function processes_and_connections_open_their_menus_by_keys(world) 
   const tabTo = (label) => eventually(`Tab leads to ${label}`, async () => (await focused()) === label || (await page.keyboard.press('Tab'), false));
   const item = () => page.evaluate(() => document.activeElement?.closest('[role=menuitem]')?.querySelector('span').innerText ?? '');
   const goTo = (text) => eventually(`${text} has the keyboard`, async () => (await item()) === text || (await page.keyboard.press('ArrowDown'), false));
+  // The way of the Tab key through the graph: processes, components, lines.
+  const way = [];
+  await tabTo('process host');
+  for (let n = 0; n < 40 && way.at(-1) !== 'line'; n += 1) {
+    const kind = await page.evaluate(() => ['process', 'component', 'edge'].find((k) => document.activeElement.matches(`.svelte-flow__node-${k}, .svelte-flow__${k}`)));
+    if (kind) way.push(kind === 'edge' ? 'line' : kind);
+    await page.keyboard.press('Tab');
+  }
+  is(way, ['process', 'component', 'component', 'line'], 'where Tab leads');
   for (const key of ['Shift+F10', 'ContextMenu']) {
     await tabTo('process host');
     await page.keyboard.press(key);
