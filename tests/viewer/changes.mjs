@@ -29,7 +29,7 @@ export async function what_was_changed_here_is_taken_back_and_done_again(world) 
   await page.locator(LINE).click({ button: 'right' });
   await page.getByRole('menuitem', { name: 'Disconnect' }).click();
   await page.locator(LINE).waitFor({ state: 'detached' });
-  is(await undo.getAttribute('title'), 'Disconnect host/echo/sample (Ctrl-Z)', 'what would be taken back');
+  is(await undo.getAttribute('title'), 'Disconnect host/echo/sample from host/sine/value (Ctrl-Z)', 'what would be taken back');
   await undo.click();
   await page.locator(LINE).waitFor();
   is(await connections(host.addr), ['host/sine/value → host/echo/sample 7'], 'connections');

@@ -178,6 +178,12 @@ export async function a_connection_is_made_by_keys_alone_and_what_does_not_fit_s
   await page.keyboard.press('Escape');
   await page.locator('[data-connect]').waitFor({ state: 'detached' });
   is((await grpcurl(host.addr, 'GcmService/List', {})).connections.length, 1, 'connections');
+  // What is free stands before what is taken, and that before what cannot fit.
+  await create(host.addr, 'echo', 'host/free');
+  await menu(page, 'host/other', 'Connect to');
+  const order = () => page.locator('[data-connect] [data-to]').evaluateAll((all) => all.map((e) => e.dataset.to));
+  await to('host/free/frame').waitFor();
+  is((await order()).filter((path) => /sample|frame$/.test(path)), ['host/free/sample', 'host/echo/sample', 'host/echo/frame', 'host/free/frame'], 'in order');
 }
 
 export async function a_wire_shows_what_is_dropped_and_that_nothing_flows_any_more(world) {

@@ -75,8 +75,12 @@ export async function a_tablet_has_room_for_curves_pictures_and_triangles(world)
   const summary = page.locator('.inspector summary').first();
   is(await summary.evaluate((e) => getComputedStyle(e).display), 'list-item', 'a part that opens has its triangle');
   for (const number of ['value', 'stamp']) await plot(page, 'host/sine/value', number);
+  // Its axes and their numbers are in the window, beside a panel and without one.
+  const inside = async () => { const [b, d] = [await page.locator('[data-figure="1"]').boundingBox(), await page.locator('.dock').boundingBox()]; return b.y + b.height <= d.y + d.height + 0.5; };
+  await eventually('the plot has room beside the panel', inside);
   await page.keyboard.press('Escape');
   await page.locator('.inspector').waitFor({ state: 'detached' });
+  await eventually('the plot has room without it', inside);
   const seen = async () => { const [b, d] = [await page.locator('[data-figure="1"] .box').boundingBox(), await page.locator('.dock').boundingBox()]; return Math.min(b.y + b.height, d.y + d.height) - b.y; };
   await eventually('the curves are seen beside their buttons', async () => (await seen()) >= 110, seen);
   await shot(page, 'looks-tablet-plots');

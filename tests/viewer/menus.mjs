@@ -26,6 +26,7 @@ export async function a_connection_is_shown_and_cut_from_its_menu(world) {
   const title = page.locator('.inspector strong');
   await open();
   is(await items(page), ['Show connection', 'Show server', 'Show client', 'Disconnect'], 'the menu of a connection');
+  is(await page.locator('.menu .title').innerText(), 'host/sine/value → host/echo/sample', 'what the menu is of');
   await shot(page, 'menu-connection');
   for (const [item, shown] of [['Show server', /^host\/sine$/], ['Show client', /^host\/echo$/], ['Show connection', /^connection \d+$/]]) {
     if ((await page.getByRole('menu').count()) === 0) await open();
@@ -39,7 +40,7 @@ export async function a_connection_is_shown_and_cut_from_its_menu(world) {
   await choose(page, 'Disconnect');
   await page.locator(LINE).waitFor({ state: 'detached' });
   is(await connections(host.addr), 0, 'connections');
-  await page.locator('[data-note]', { hasText: 'Disconnect: done' }).waitFor();
+  await page.locator('[data-note]', { hasText: 'Disconnect host/echo/sample from host/sine/value: done' }).waitFor();
 }
 
 export async function a_connection_is_cut_from_its_details(world) {

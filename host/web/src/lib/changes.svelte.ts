@@ -81,14 +81,14 @@ class Changes {
 
   async connect(client: string, server: string): Promise<boolean> {
     const done = await page.ask(`Connect ${client} to ${server}`, () => gcm.connect({ client, server }, PATIENCE));
-    if (done) this.#done({ what: `Connect ${client}`, back: [cut(client, server)], again: [{ case: 'connect', value: { client, server } }] });
+    if (done) this.#done({ what: `Connect ${client} to ${server}`, back: [cut(client, server)], again: [{ case: 'connect', value: { client, server } }] });
     return done;
   }
 
   async disconnect(id: string): Promise<boolean> {
     const was = system.connections.get(id);
-    const done = await page.ask('Disconnect', () => gcm.disconnect({ id: BigInt(id) }, PATIENCE));
-    if (done && was) this.#done({ what: `Disconnect ${was.client}`, back: [tie(was)], again: [cut(was.client, was.server)] });
+    const done = await page.ask(was ? `Disconnect ${was.client} from ${was.server}` : 'Disconnect', () => gcm.disconnect({ id: BigInt(id) }, PATIENCE));
+    if (done && was) this.#done({ what: `Disconnect ${was.client} from ${was.server}`, back: [tie(was)], again: [cut(was.client, was.server)] });
     return done;
   }
 
