@@ -50,7 +50,7 @@ pub struct EyeRobot {
     /// Joints and tip of each cycle
     #[output]
     state: Out<ArmState>,
-    /// Pose of the tip from the encoders of each cycle, in the base frame: for filters of poses
+    /// Pose of the tip from the encoders of each cycle, in the base frame; filters of poses take it
     #[output(name = "measured_cp")]
     pose: Out<Pose>,
     /// The hand's wrench of each cycle, with the orientation of the base frame; stamp 0 while there is no
