@@ -10,7 +10,13 @@ pub(super) fn folded(warnings: impl IntoIterator<Item = String>) -> Vec<String> 
         let (path, text) = warning.split_once(": ").unwrap_or(("", &warning));
         let pattern = pattern(text);
         match groups.iter_mut().find(|(known, _, _)| !path.is_empty() && *known == pattern) {
-            Some((_, _, others)) => others.push(path.to_owned()),
+            // One that is told of twice is named once.
+            Some((_, first, others)) => {
+                let is_first = first.split_once(": ").is_some_and(|(known, _)| known == path);
+                if !is_first && !others.iter().any(|known| known == path) {
+                    others.push(path.to_owned());
+                }
+            }
             None => groups.push((pattern, warning, Vec::new())),
         }
     }
@@ -44,6 +50,13 @@ mod tests {
         let expected =
             ["host/robot: priority 75 was refused; likewise host/source, host/b", "host/a: no memory"];
         assert_eq!(folded(all), expected);
+    }
+
+    #[test]
+    fn one_that_is_warned_of_more_than_once_is_named_once() {
+        let refused = |of: &str| format!("{of}: priority 70 was refused");
+        let all = ["oct/source", "oct/surface", "oct/source", "oct/surface"].map(refused);
+        assert_eq!(folded(all), ["oct/source: priority 70 was refused; likewise oct/surface"]);
     }
 
     #[test]

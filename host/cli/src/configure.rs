@@ -1,4 +1,4 @@
-//! `trocar configure host/robot '{"seed": 8}'`, `trocar configure host/robot --rate-hz 500`.
+//! `trocar configure host/sine '{"amplitude": 2}'`, `trocar configure host/robot --rate-hz 500`.
 //!
 //! Invariant: the JSON is a merge patch (RFC 7396), sent as it was typed; settings that were not typed
 //! stay as they are.
@@ -13,7 +13,7 @@ use super::session::Session;
 use super::typed::json_object;
 
 /// Changes a component's configuration, or where its thread comes from:
-/// `trocar configure host/robot '{"seed": 8}'`.
+/// `trocar configure host/sine '{"amplitude": 2}'`.
 #[derive(Args, Debug)]
 pub(super) struct ConfigureArgs {
     /// The component: process/component.

@@ -11,7 +11,7 @@ use super::session::Session;
 use super::units;
 use super::view::ConnectionView;
 
-/// Connects a client end to a server end: `trocar connect host/mover/robot host/robot/arm`.
+/// Connects a client end to a server end: `trocar connect host/tracking/c host/sine/value`.
 #[derive(Args, Debug)]
 pub(super) struct ConnectArgs {
     /// Input or required interface: process/component/port.

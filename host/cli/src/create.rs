@@ -1,4 +1,4 @@
-//! `trocar create host/robot eyerobot`.
+//! `trocar create host/sine sine`.
 //!
 //! Invariant: a setting that is not typed is not sent, so the class's default applies.
 
@@ -11,7 +11,7 @@ use super::mutation::{MutationArgs, show};
 use super::session::Session;
 use super::typed::json_object;
 
-/// Creates a component: `trocar create host/robot eyerobot`.
+/// Creates a component: `trocar create host/sine sine`.
 #[derive(Args, Debug)]
 pub(super) struct CreateArgs {
     /// Where: process/component.

@@ -2,12 +2,17 @@
 //!
 //! Invariant: what could not be shown in time is counted and said, never silently left out.
 
+use std::time::Duration;
+
 use clap::Args;
 
 use super::failure::{Done, Exit};
 use super::question::Row;
 use super::session::Session;
 use super::{out, units};
+
+/// After this long without a first item, it is said that one is waited for.
+const QUIET: Duration = Duration::from_secs(1);
 
 /// Follows outputs, events and lifecycle states: `trocar echo host/robot/arm/operating_state`.
 ///
@@ -60,8 +65,19 @@ pub(super) async fn run(args: EchoArgs, session: &Session) -> Done {
     }
     let mut items = session.subscribe(&args.paths, args.rate_hz).await?;
     let mut left = args.count.unwrap_or(u64::MAX);
+    let mut told = session.json();
     while left > 0 {
-        let Some(item) = items.next().await? else {
+        let next = items.next();
+        tokio::pin!(next);
+        let item = tokio::select! {
+            item = &mut next => item,
+            () = tokio::time::sleep(QUIET), if !told => {
+                out::complain("note", "nothing has come yet: the next sample, event or change is shown; Ctrl-C ends it");
+                next.await
+            }
+        };
+        told = true;
+        let Some(item) = item? else {
             eprintln!("warning: nothing more comes: what was followed is gone or made anew");
             break;
         };

@@ -17,7 +17,7 @@ use super::{out, units};
 /// Most samples per second that a host looks for on behalf of this command.
 const LOOKS_HZ: f64 = 1000.0;
 
-/// Measures rate and jitter of outputs and events: `trocar hz host/robot/measured_js`.
+/// Measures rate and jitter of outputs and events: `trocar hz host/robot/measured_cp`.
 #[derive(Args, Debug)]
 pub(super) struct HzArgs {
     /// process/component/output, or process/component/interface/event.

@@ -16,7 +16,8 @@ use super::{out, units};
 /// Longest time that a GCM lets a caller wait, ns.
 const MOST_NS: u64 = 60_000_000_000;
 
-/// Waits for a state or an event: `trocar wait host/robot`, `trocar wait host/echo/ctl/done --deadline 2s`.
+/// Waits for a state or an event: `trocar wait host/robot`,
+/// `trocar wait host/bscan/scan/bscan_done --deadline 30s`.
 ///
 /// An event that says false, as `goal_reached` of a move that was held on its way, ends it with exit code 1.
 #[derive(Args, Debug)]

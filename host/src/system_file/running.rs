@@ -25,8 +25,8 @@ pub struct Running<'a> {
 }
 
 /// Settings of processes and components that a GCM is not told.
-const NOT_KNOWN: &str = "trust, listen, state, env, restart and memory of processes and resume of components are not known to a \
-                         GCM: where they were other than usual, take them from the file it was started by";
+const NOT_KNOWN: &str = "the GCM does not know these settings, so the file lacks them: trust, listen, state, env, restart and memory of \
+                         processes, resume of components; copy those that the system's own file has";
 
 impl Running<'_> {
     /// The system as a file that lies in `folder` says it, and notes on what such a file does not say.

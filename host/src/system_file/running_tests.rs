@@ -87,7 +87,7 @@ fn a_system_is_saved_as_a_person_would_write_it() {
     let graph = made(&parse(RICH), &["host"]);
     let (text, notes) = saved(&graph);
     assert_eq!(text, RICH, "{text}");
-    assert!(notes.len() == 1 && notes[0].contains("not known to a GCM"), "{notes:?}");
+    assert!(notes.len() == 1 && notes[0].contains("the GCM does not know these settings"), "{notes:?}");
 }
 
 #[test]

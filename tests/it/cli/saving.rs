@@ -77,7 +77,7 @@ fn what_is_saved_reads_as_written_by_hand_and_comes_up_again() {
         .run(&["save", "-o", &saved])
         .ends_with(OK)
         .says("saved.json: 3 processes, 4 components, 1 connection")
-        .says("not known to a GCM");
+        .says("the GCM does not know these settings");
     assert_eq!(fs::read_to_string(&saved).unwrap(), sorted(FILE));
     trocar.run(&["diff", &saved]).ends_with(OK).says("the system is what");
     trocar.run(&["check", &saved]).ends_with(OK).says("is right");

@@ -10,6 +10,7 @@ use crate::logging::{self, Kept};
 use crate::screen::{Key, Screen, clipped};
 use crate::session::Session;
 use crate::top::rates::{Figures, between};
+use crate::view::SystemView;
 use crate::{out, style};
 
 /// Lines of warnings that are in view.
@@ -46,9 +47,9 @@ impl<'a> Face<'a> {
         Self { session, kind }
     }
 
-    /// Draws each second, until a person at a screen ends it. While the GCM does not answer there
-    /// are no figures.
-    pub(super) async fn keep(&mut self) {
+    /// Draws each second, until a person at a screen ends it, and tells `seen` what there is. While the GCM
+    /// does not answer there are no figures.
+    pub(super) async fn keep(&mut self, seen: impl Fn(&SystemView)) {
         if matches!(self.kind, Kind::Silent) {
             return std::future::pending().await;
         }
@@ -64,6 +65,9 @@ impl<'a> Face<'a> {
             }
             let answer = self.session.list().await;
             let now = Instant::now();
+            if let Ok(all) = &answer {
+                seen(all);
+            }
             match (answer, before.take()) {
                 (Ok(list), None) => {
                     self.draw(&between(&list, &list, 0.0));

@@ -93,7 +93,9 @@ pub(super) async fn measure(session: &Session, parts: &Parts, seconds: u64) -> R
     };
     let (robot, system) = tokio::try_join!(robot, system)?;
     let steps = Steps::between(&robot.0, &robot.1);
-    Ok(Report::of(steps, &system.0, &system.1, parts))
+    let (a, b) = (&system.0, &system.1);
+    let counted = Counts::of(&a.all, parts).with(Counts::of(&b.all, parts), since);
+    Ok(Report::of(steps, a.moment.until(&b.moment), counted, &b.all, parts))
 }
 
 /// The time of a look: the middle of two times, between which it was taken.
@@ -164,72 +166,138 @@ impl Reading {
         let all = session.list().await?;
         Ok(Reading { moment: Moment::within(begun, Instant::now()), all })
     }
-
-    fn stats(&self, path: &str) -> StatsView {
-        let found = self.all.components.iter().find(|c| c.path == path);
-        found.map(|c| c.stats.clone()).unwrap_or_default()
-    }
-
-    fn robot(&self, parts: &Parts) -> Robot {
-        Robot { moment: self.moment, stats: self.stats(&parts.robot) }
-    }
-
-    /// Lost on the way of the video.
-    fn lost(&self, parts: &Parts) -> u64 {
-        let video = self.all.connections.iter().filter(|c| parts.chain.contains(&c.client));
-        video.map(|c| c.dropped + c.skipped).sum()
-    }
-
-    fn end(&self, parts: &Parts) -> ConnectionView {
-        self.all
-            .connections
-            .iter()
-            .find(|c| Some(&c.client) == parts.chain.last())
-            .cloned()
-            .unwrap_or_default()
-    }
 }
 
-impl Steps {
-    fn between(from: &Robot, to: &Robot) -> Self {
-        let (seconds, unsure_s) = from.moment.until(&to.moment);
-        let (from, to) = (&from.stats, &to.stats);
-        let executed = since(from.executed, to.executed);
+fn stats_of(all: &SystemView, path: &str) -> StatsView {
+    let found = all.components.iter().find(|c| c.path == path);
+    found.map(|c| c.stats.clone()).unwrap_or_default()
+}
+
+/// Where the video ends.
+fn end_of(all: &SystemView, parts: &Parts) -> ConnectionView {
+    let end = all.connections.iter().find(|c| Some(&c.client) == parts.chain.last());
+    end.cloned().unwrap_or_default()
+}
+
+/// What the summary counts: all of it so far, or what came in a window.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Counts {
+    executed: u64,
+    skipped: u64,
+    overruns: u64,
+    pairs: u64,
+    /// Lost on the way of the video.
+    lost: u64,
+    left_out: u64,
+}
+
+impl Counts {
+    fn of(all: &SystemView, parts: &Parts) -> Self {
+        let robot = stats_of(all, &parts.robot);
+        let video = all.connections.iter().filter(|c| parts.chain.contains(&c.client));
         Self {
-            seconds,
-            unsure_s,
-            executed,
-            skipped: since(from.skipped, to.skipped),
-            overruns: since(from.overruns, to.overruns),
-            rate_hz: if seconds > 0.0 { executed as f64 / seconds } else { 0.0 },
-            lateness_p50_ns: to.lateness_p50_ns,
-            lateness_p99_ns: to.lateness_p99_ns,
-            lateness_max_ns: to.lateness_max_ns,
+            executed: robot.executed,
+            skipped: robot.skipped,
+            overruns: robot.overruns,
+            pairs: end_of(all, parts).passed,
+            lost: video.map(|c| c.dropped + c.skipped).sum(),
+            left_out: stats_of(all, &parts.source).skipped,
+        }
+    }
+
+    /// Each by itself: `f` of what it was and what it is.
+    fn with(self, now: Self, f: impl Fn(u64, u64) -> u64) -> Self {
+        Self {
+            executed: f(self.executed, now.executed),
+            skipped: f(self.skipped, now.skipped),
+            overruns: f(self.overruns, now.overruns),
+            pairs: f(self.pairs, now.pairs),
+            lost: f(self.lost, now.lost),
+            left_out: f(self.left_out, now.left_out),
         }
     }
 }
 
-impl Report {
-    /// Makes the report between two looks, none of which was taken right after a step of the robot.
-    pub(super) fn between(a: &Reading, b: &Reading, parts: &Parts) -> Report {
-        Report::of(Steps::between(&a.robot(parts), &b.robot(parts)), a, b, parts)
+/// Counts of a demo that the user ends, added up over restarts of its processes: counters that begin anew
+/// take nothing away.
+pub(super) struct Tally {
+    from: Moment,
+    parts: Parts,
+    sum: Counts,
+    last: Counts,
+}
+
+impl Tally {
+    pub(super) fn new(from: &Reading, parts: Parts) -> Self {
+        let last = Counts::of(&from.all, &parts);
+        Self { from: from.moment, parts, sum: Counts::default(), last }
     }
 
-    fn of(robot: Steps, a: &Reading, b: &Reading, parts: &Parts) -> Report {
-        let (seconds, unsure_s) = a.moment.until(&b.moment);
-        let left_out = since(a.stats(&parts.source).skipped, b.stats(&parts.source).skipped);
-        let end = b.end(parts);
-        let pairs = since(a.end(parts).passed, end.passed);
+    /// Adds what came since the look before. What a process did after the last look at it is not known.
+    pub(super) fn add(&mut self, all: &SystemView) {
+        let now = Counts::of(all, &self.parts);
+        self.sum = self.sum.with(self.last.with(now, since), |sum, more| sum + more);
+        self.last = now;
+    }
+
+    /// Makes the report up to this look, which is not right after a step of the robot.
+    pub(super) fn report(mut self, to: &Reading) -> Report {
+        self.add(&to.all);
+        let window = self.from.until(&to.moment);
+        let robot = Steps::of(window, self.sum, &stats_of(&to.all, &self.parts.robot));
+        Report::of(robot, window, self.sum, &to.all, &self.parts)
+    }
+}
+
+impl Steps {
+    /// In so many seconds, and how far off that may be.
+    fn of((seconds, unsure_s): (f64, f64), counted: Counts, now: &StatsView) -> Self {
+        let Counts { executed, skipped, overruns, .. } = counted;
+        Self {
+            seconds,
+            unsure_s,
+            executed,
+            skipped,
+            overruns,
+            rate_hz: if seconds > 0.0 { executed as f64 / seconds } else { 0.0 },
+            lateness_p50_ns: now.lateness_p50_ns,
+            lateness_p99_ns: now.lateness_p99_ns,
+            lateness_max_ns: now.lateness_max_ns,
+        }
+    }
+
+    fn between(from: &Robot, to: &Robot) -> Self {
+        let counts = |s: &StatsView| Counts {
+            executed: s.executed,
+            skipped: s.skipped,
+            overruns: s.overruns,
+            ..Counts::default()
+        };
+        let counted = counts(&from.stats).with(counts(&to.stats), since);
+        Self::of(from.moment.until(&to.moment), counted, &to.stats)
+    }
+}
+
+impl Report {
+    fn of(
+        robot: Steps,
+        (seconds, unsure_s): (f64, f64),
+        counted: Counts,
+        now: &SystemView,
+        parts: &Parts,
+    ) -> Report {
+        let end = end_of(now, parts);
+        let Counts { pairs, lost, left_out, .. } = counted;
         Report {
             behavior: parts.behavior,
             seconds,
             unsure_s,
-            processes: b.all.processes.len(),
+            processes: now.processes.len(),
             robot,
             video: Video {
                 pairs,
                 rate_hz: if seconds > 0.0 { pairs as f64 / seconds } else { 0.0 },
-                drops: since(a.lost(parts), b.lost(parts)),
+                drops: lost,
                 left_out,
                 latency_p50_ns: end.latency_p50_ns,
                 latency_p99_ns: end.latency_p99_ns,
@@ -265,6 +333,41 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::view::ComponentView;
+
+    #[test]
+    fn a_summary_counts_over_restarts_of_processes() {
+        let parts = || Parts {
+            behavior: "bscan",
+            robot: "robot/robot".into(),
+            source: "host/camera".into(),
+            chain: vec!["host/display/image".into()],
+        };
+        let at = Moment::within(Instant::now(), Instant::now());
+        let look = |executed, passed| {
+            let stats = StatsView { executed, ..StatsView::default() };
+            SystemView {
+                components: vec![ComponentView {
+                    path: "robot/robot".into(),
+                    stats,
+                    ..ComponentView::default()
+                }],
+                connections: vec![ConnectionView {
+                    client: "host/display/image".into(),
+                    passed,
+                    ..ConnectionView::default()
+                }],
+                ..SystemView::default()
+            }
+        };
+        let mut tally = Tally::new(&Reading { moment: at, all: look(1000, 30) }, parts());
+        // Both processes end and begin anew; meanwhile one is not there at all.
+        for all in [look(3000, 90), SystemView::default(), look(400, 12)] {
+            tally.add(&all);
+        }
+        let report = tally.report(&Reading { moment: at, all: look(900, 42) });
+        assert_eq!((report.robot.executed, report.video.pairs), (2000 + 900, 60 + 42));
+    }
 
     #[test]
     fn a_window_lasts_from_the_middle_of_a_look_to_the_middle_of_another_and_says_how_far_off_that_may_be() {

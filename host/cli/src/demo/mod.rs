@@ -10,7 +10,7 @@ mod head;
 mod layout;
 mod measure;
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use self::behavior::Behavior;
 use self::face::Face;
 use self::head::Head;
 use self::layout::Layout;
-use self::measure::{Parts, Reading, Report, measure};
+use self::measure::{Parts, Reading, Report, Tally, measure};
 use super::alike::folded;
 use super::failure::{Done, Exit, Failure};
 use super::logging::Diverted;
@@ -107,7 +107,8 @@ pub(super) async fn run(args: DemoArgs, session: &Session) -> Done {
     let file = layout.file("demo.json", behavior.system())?;
     let plugins = if args.plugins.is_empty() { own_directory() } else { args.plugins };
     let (seconds, port, warnings) = (args.seconds, args.port, Cell::new(warnings));
-    let show = Show { seconds, pictures, session, behavior, layout, port, warnings };
+    let tally = RefCell::new(None);
+    let show = Show { seconds, pictures, session, behavior, layout, port, warnings, tally };
     if layout.processes() == 1 {
         in_one(&file, plugins, args.listen, &show).await
     } else {
@@ -125,12 +126,12 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
         Ok(true) => {
             let addr = hosting::address(&host);
             let head = show.begin(&format!(", listening on {addr}"), &addr);
-            let from = show.look(&addr).await;
+            show.begin_count(&addr).await;
             let ended = tokio::select! {
                 ended = show.run(&addr, &head) => ended,
                 () = stop.asked() => Ok(None),
             };
-            let done = show.over(ended, &addr, from).await;
+            let done = show.over(ended, &addr).await;
             show.rest(&addr).await;
             done
         }
@@ -156,7 +157,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
             folded(up.warnings).iter().for_each(|warning| logging::warn(warning));
             let how = format!(" in {} processes, GCM {}", file.processes.len(), up.addr);
             let head = show.begin(&how, &up.addr);
-            let from = show.look(&up.addr).await;
+            show.begin_count(&up.addr).await;
             // On a terminal the table says it.
             let voice = (!style::interactive()).then(|| up::voice("demo"));
             let ended = tokio::select! {
@@ -164,7 +165,7 @@ async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: 
                 ended = show.run(&up.addr, &head) => ended,
                 () = stop.asked() => Ok(None),
             };
-            let done = show.over(ended, &up.addr, from).await;
+            let done = show.over(ended, &up.addr).await;
             show.rest(&up.addr).await;
             done
         }
@@ -191,6 +192,8 @@ struct Show<'a> {
     port: hosting::PortArgs,
     /// Set while a screen shows the warnings.
     warnings: Cell<Option<Diverted>>,
+    /// What the summary of a demo that the user ends counts, from when it came up.
+    tally: RefCell<Option<Tally>>,
 }
 
 impl Show<'_> {
@@ -206,10 +209,13 @@ impl Show<'_> {
         }
     }
 
-    /// Returns the counters that the summary starts from; `None` with `--json`.
-    async fn look(&self, addr: &str) -> Option<Reading> {
+    /// Notes the counters that the summary starts from; with `--json` there is none.
+    async fn begin_count(&self, addr: &str) {
         let asking = Session::new(Some(addr.to_owned()), false);
-        if self.session.json() { None } else { Reading::now(&asking).await.ok() }
+        if !self.session.json() {
+            let from = Reading::now(&asking).await.ok();
+            self.tally.replace(from.map(|from| Tally::new(&from, self.parts())));
+        }
     }
 
     fn parts(&self) -> Parts {
@@ -229,7 +235,7 @@ impl Show<'_> {
         let acting = Acting::new(&asking, self.behavior, self.layout);
         let mut face = Face::open(&asking, self.session.json(), head.for_a_screen(), &head.lines());
         tokio::select! {
-            () = face.keep() => Ok(None),
+            () = face.keep(|all| self.tally.borrow_mut().iter_mut().for_each(|tally| tally.add(all))) => Ok(None),
             never = acting.keep() => match never {},
             ended = self.end(&asking, &acting) => {
                 let (report, pictures) = ended?;
@@ -238,8 +244,8 @@ impl Show<'_> {
         }
     }
 
-    /// Prints the result; for a demo that the user ended, the figures since `from`.
-    async fn over(&self, ended: Result<Option<Ended>, Failure>, addr: &str, from: Option<Reading>) -> Done {
+    /// Prints the result; for a demo that the user ended, the figures since it came up.
+    async fn over(&self, ended: Result<Option<Ended>, Failure>, addr: &str) -> Done {
         drop(self.warnings.take());
         let ended = ended?;
         if self.session.json() {
@@ -247,8 +253,9 @@ impl Show<'_> {
         }
         let Some(ended) = ended else {
             let asking = Session::new(Some(addr.to_owned()), false);
-            if let (Some(from), Ok(to)) = (from, Reading::now(&asking).await) {
-                out::text(&Report::between(&from, &to, &self.parts()).summary());
+            let tally = self.tally.take();
+            if let (Some(tally), Ok(to)) = (tally, Reading::now(&asking).await) {
+                out::text(&tally.report(&to).summary());
             }
             if let Some(dir) = &self.pictures {
                 let name = self.behavior.name();
@@ -323,9 +330,12 @@ fn own_directory() -> Vec<PathBuf> {
     own.into_iter().collect()
 }
 
-/// A missing class means here that the plugins are not built.
+/// A missing class means here that the plugins are not built, or elsewhere; the file that needs it is no file
+/// of the user.
 fn built(mut failure: Failure) -> Failure {
     if failure.reason == "CLASS_NOT_FOUND" {
+        let said = failure.message.split_once(": ").map_or("", |(_, said)| said).to_owned();
+        failure.message = format!("the demo needs plugins that are missing: {said}");
         failure.help = "build the plugins beside this program (`cargo build --release`), or name their directory: --plugins DIR".to_owned();
     }
     failure
@@ -334,6 +344,15 @@ fn built(mut failure: Failure) -> Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn missing_plugins_are_told_without_a_file_that_nobody_has() {
+        let said = "demo.json:17:16: process `host` has no class `bscan/bscan`; there are none";
+        let failure = built(Failure::refused("CLASS_NOT_FOUND", said.to_owned(), String::new()));
+        let expected = "the demo needs plugins that are missing: process `host` has no class `bscan/bscan`; there are none";
+        assert_eq!(failure.message, expected);
+        assert!(failure.help.contains("--plugins DIR"), "{}", failure.help);
+    }
 
     #[test]
     fn other_numbers_of_processes_are_refused_with_what_is_possible() {

@@ -92,7 +92,7 @@ def from_rpc(error: Any, what: str, address: str) -> TrocarError:
                 "; ".join(links),
             )
     if name == "UNAVAILABLE":
-        hint = 'start one (`trocar host`, `trocar gcm`), or name its address: trocar.connect("HOST:PORT")'
+        hint = 'start one (`trocar demo`, `trocar run FILE`, `trocar host`), or name its address: trocar.connect("HOST:PORT") or TROCAR_GCM'
         return TrocarError(name, "GCM_UNREACHABLE", f"no GCM answers at {address}: {hint} ({sentence})")
     if name == "UNIMPLEMENTED":
         return TrocarError(name, "NOT_IMPLEMENTED", f"the GCM at {address} does not know {what} ({sentence})")
