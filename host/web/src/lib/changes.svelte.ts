@@ -32,7 +32,8 @@ class Changes {
   future = $state.raw<Change[]>([]);
   /// Waits until all that a hand has moved is noted here.
   settled: () => Promise<unknown> = () => Promise.resolve();
-  #busy = false;
+  /// Ends with the one that is under way: what is asked meanwhile comes after it.
+  #turn: Promise<void> = Promise.resolve();
 
   /// The change is the last one that can be taken back; those taken back before cannot be done again.
   #done(change: Change) {
@@ -40,7 +41,15 @@ class Changes {
     this.future = [];
   }
 
-  async undo() {
+  undo(): Promise<void> {
+    return (this.#turn = this.#turn.catch(() => undefined).then(() => this.#undo()));
+  }
+
+  redo(): Promise<void> {
+    return (this.#turn = this.#turn.catch(() => undefined).then(() => this.#redo()));
+  }
+
+  async #undo() {
     await this.settled();
     const last = this.past.at(-1);
     const came = last && (await this.#carry(`Undo ${last.what}`, last.back, last.takes));
@@ -49,7 +58,7 @@ class Changes {
     if (came === 'done') this.future = [...this.future, last];
   }
 
-  async redo() {
+  async #redo() {
     await this.settled();
     const next = this.future.at(-1);
     const came = next && (await this.#carry(`Redo ${next.what}`, next.again, next.takes));
@@ -60,12 +69,10 @@ class Changes {
 
   /// 'gone': what it is about is not there any more, so it never will be done, and older changes may be.
   async #carry(what: string, steps: Step[], takes = ''): Promise<'done' | 'gone' | undefined> {
-    if (this.#busy) return undefined;
     if (system.components.get(takes)?.state === ComponentState.ACTIVE) {
       page.tell(`${what}: ${takes} is ACTIVE: stop it first`, true);
       return undefined;
     }
-    this.#busy = true;
     let gone = false;
     const done = await page.ask(what, async () => {
       try {
@@ -75,7 +82,6 @@ class Changes {
         throw error;
       }
     });
-    this.#busy = false;
     return done ? 'done' : gone ? 'gone' : undefined;
   }
 
