@@ -91,7 +91,7 @@ pub trait Lcm: Send + Sync {
     fn news(&self) -> broadcast::Receiver<News>;
 }
 
-/// What is to stand still.
+/// A Stop of all that the targets name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Stop {
     pub targets: Vec<Target>,

@@ -1,4 +1,4 @@
-//! What an order of the GCM rests on.
+//! The ground of an order of the GCM: its deadline, its place among all decisions, its session.
 //!
 //! Invariant: a Stop wins over every Start that was decided before it, wherever either is when they meet.
 
@@ -11,19 +11,19 @@ use tokio::sync::watch;
 pub struct Decision(pub u64);
 
 impl Decision {
-    /// Of nobody: every Stop is later.
+    /// Nobody's: every Stop is later.
     pub const NONE: Decision = Decision(0);
-    /// Of a Stop that the process was asked for itself. It is later than what the GCM has decided without
-    /// knowing of it.
+    /// That of a Stop at the process itself. It is later than all that the GCM has decided without knowing of
+    /// it.
     pub const HERE: Decision = Decision(u64::MAX);
     /// The greatest that a GCM gives.
     pub const MOST: Decision = Decision(1 << 62);
 }
 
-/// What an order rests on.
+/// The ground of an order.
 #[derive(Clone, Debug)]
 pub struct Order {
-    /// The end of the orderer's patience: what is not done then is not done.
+    /// End of the orderer's patience: a change that is not done by then is not done at all.
     pub deadline: Instant,
     pub decision: Decision,
     pub lease: Lease,
@@ -36,8 +36,8 @@ impl From<Instant> for Order {
     }
 }
 
-/// Whether the orderer is still there. When it is not, what it has ordered and what is not done yet is taken
-/// back, as at the end of its patience.
+/// Tells whether the orderer is still there. When it is gone, orders that are not done yet are taken back, as
+/// at the end of its patience.
 #[derive(Clone, Debug, Default)]
 pub struct Lease {
     /// When it was heard last, and after which time it is gone; `None`: it is in this process.

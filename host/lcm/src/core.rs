@@ -130,6 +130,8 @@ pub(super) struct Core {
     going: AtomicBool,
     /// From the moment a start or resume is entered until a stop has made the component safe.
     unsettled: AtomicBool,
+    /// The decision by which it runs.
+    started_by: AtomicU64,
     closed: AtomicBool,
     signalled: Mark,
     /// See [`Core::teller`].
@@ -189,6 +191,7 @@ impl Core {
             gate: AtomicU32::new(pack(State::Created)),
             going: AtomicBool::new(false),
             unsettled: AtomicBool::new(false),
+            started_by: AtomicU64::new(0),
             closed: AtomicBool::new(false),
             signalled: Mark::default(),
             teller: AtomicU64::new(0),
@@ -279,6 +282,16 @@ impl Core {
     /// Notes that its code may set something in motion, or that all of it is at rest.
     pub(super) fn set_unsettled(&self, unsettled: bool) {
         self.unsettled.store(unsettled, Ordering::SeqCst);
+    }
+
+    /// Notes the decision by which it is set in motion.
+    pub(super) fn set_started_by(&self, decision: u64) {
+        self.started_by.store(decision, Ordering::SeqCst);
+    }
+
+    /// The decision by which it was set in motion last.
+    pub(super) fn started_by(&self) -> u64 {
+        self.started_by.load(Ordering::SeqCst)
     }
 
     /// Tells whether it was started and no stop has brought it to rest since, whatever its state.

@@ -80,7 +80,7 @@ impl Latches {
         self.0.lock().seen
     }
 
-    /// What the GCM has to hear of.
+    /// The Stops of which the GCM has to hear.
     pub(super) fn stopped_here(&self) -> StoppedHere {
         self.0.lock().told()
     }

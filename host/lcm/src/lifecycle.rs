@@ -90,7 +90,7 @@ fn too_late(stands: State) -> EntryError {
     EntryError::new(STATUS_FAILED, format!("it took so long that it is {stands}"))
 }
 
-/// What a Start or Resume came to.
+/// Result of a Start or Resume.
 pub(super) enum Ran {
     Runs,
     /// It was taken back, for this reason: a Stop came, or nobody waits for it any more.
@@ -99,7 +99,7 @@ pub(super) enum Ran {
 
 pub(super) type RunResult = Result<Ran, (&'static str, EntryError)>;
 
-/// Tells why a component is not to be set in motion any more.
+/// Tells why a component is not to be set in motion any more; `None`: it may be.
 fn held_off(instance: &Instance, order: &Order) -> Option<&'static str> {
     if order.lease.has_ended() {
         return Some("the GCM was lost while this was being carried out");
@@ -152,6 +152,7 @@ fn run(
         stop(instance, entered)?;
         return Ok(Ran::HeldOff(why));
     }
+    instance.set_started_by(order.decision.0);
     if instance.set_state_from(from, State::Active, "") {
         // A Stop notes itself before it looks: either it sees the component ACTIVE, or it is seen here.
         return match held_off(instance, order) {
@@ -190,6 +191,8 @@ pub(super) fn undo_configure(
     match before {
         None => _ = instance.set_state_from(State::Ready, state, ""),
         Some(json) if instance.state() != State::Fault => {
+            // One that ran may have been stopped meanwhile: a configuration sets nothing in motion.
+            let state = if state == State::Active { instance.state() } else { state };
             if let Err((entry, e)) = configure(instance, entered, json, None, state)
                 && e.refused()
             {

@@ -35,7 +35,7 @@ pub struct Executed {
     pub revision: u64,
     pub plan: Plan,
     pub reports: Vec<Report>,
-    /// What a Stop named and could not stop; the others are stopped.
+    /// Targets of a Stop that could not be stopped; the others are.
     pub failed: Vec<(Target, Refusal)>,
     /// Differences from a system file that no request ends, and who can end them.
     pub left: Vec<String>,

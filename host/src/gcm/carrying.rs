@@ -121,8 +121,7 @@ impl<'a> Carrying<'a> {
             Err(refusal @ Refusal::LcmTimeout { .. }) => {
                 // The start may still be done, late; no caller may be told that it failed and see the
                 // component move. The Stop is not waited for: the caller's time is over.
-                let gcm = self.gcm.clone();
-                tokio::spawn(async move { gcm.one(&stop, (Instant::now() + UNDO).into()).await });
+                self.gcm.stop_late(id, self.claim.decision());
                 Err(refusal)
             }
             done => done,

@@ -362,3 +362,41 @@ impl Claim<'_> {
         doing.map_or(Ok(Ok((graph, plan))), Err)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn stop(path: &str) -> Vec<Target> {
+        vec![Target::parse(path).unwrap()]
+    }
+
+    #[test]
+    fn a_stop_counts_against_what_came_before_it_also_when_it_was_forgotten() {
+        let (claims, arm) = (Claims::default(), ComponentId::parse("host/arm").unwrap());
+        let before = claims.arrive();
+        assert!(!claims.is_stopped_since(&arm, before));
+        claims.decide_stop(&stop("host/other"));
+        assert!(!claims.is_stopped_since(&arm, before));
+        claims.decide_stop(&stop("host/*"));
+        let after = claims.arrive();
+        assert!(claims.is_stopped_since(&arm, before) && !claims.is_stopped_since(&arm, after));
+        for _ in 0..=MOST_STOPS {
+            claims.decide_stop(&stop("host/other"));
+        }
+        assert!(claims.is_stopped_since(&arm, before), "to the safe side");
+        assert!(!claims.is_stopped_since(&arm, claims.arrive()));
+    }
+
+    #[test]
+    fn a_count_that_nobody_has_come_to_is_not_gone_on_with() {
+        let claims = Claims::default();
+        claims.count_on(Decision(500));
+        assert_eq!(claims.arrive(), Decision(501));
+        claims.count_on(Decision(7));
+        claims.count_on(Decision::MOST);
+        claims.count_on(Decision(u64::MAX));
+        assert_eq!(claims.arrive(), Decision(502), "numbers do not come back");
+    }
+}

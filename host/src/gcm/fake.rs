@@ -48,7 +48,7 @@ pub(crate) struct FakeLcm {
     lose: Mutex<BTreeSet<String>>,
     /// Stops that were ordered: a Start that was decided before one that names its component is refused.
     stops: Mutex<Vec<(Stop, Decision)>>,
-    /// What it was asked to stop itself.
+    /// The Stops that it was asked for itself.
     pub(crate) stopped_here: Mutex<StoppedHere>,
     /// Changes that wait for [`FakeLcm::release`].
     held: Mutex<BTreeSet<String>>,

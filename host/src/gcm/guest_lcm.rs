@@ -10,12 +10,12 @@ use async_trait::async_trait;
 use parking_lot::Mutex;
 use tokio::sync::{broadcast, mpsc, watch};
 use trocar_lcm_api::{
-    Detail, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo, RemoteEnd, Reply,
-    Report, Sample, Selection, Stop, When,
+    Decision, Detail, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo, RemoteEnd,
+    Reply, Report, Sample, Selection, Stop, When,
 };
 use trocar_model::{
     Change, ComponentId, Event, Function, Handler, Health, Name, Ports, Provided, Refusal, Required, State,
-    StopReason,
+    StopReason, allowed,
 };
 
 /// Most required interfaces of a guest.
@@ -40,6 +40,8 @@ struct Stands {
     parted: VecDeque<Required>,
     /// Number of the last report.
     number: u64,
+    /// The last Stop: nothing decided before it sets the guest in motion.
+    stopped: Decision,
 }
 
 impl Stands {
@@ -81,7 +83,8 @@ impl Stands {
 impl GuestLcm {
     pub(super) fn new(id: ComponentId) -> GuestLcm {
         let (ports, parted) = (Arc::default(), VecDeque::new());
-        let stands = Stands { id, state: State::Active, ports, parted, number: 0 };
+        let stopped = Decision::NONE;
+        let stands = Stands { id, state: State::Active, ports, parted, number: 0, stopped };
         GuestLcm {
             stands: Mutex::new(stands),
             news: broadcast::Sender::new(NEWS),
@@ -179,7 +182,7 @@ fn mirror(name: &Name, provided: &Provided) -> Required {
 
 #[async_trait]
 impl Lcm for GuestLcm {
-    async fn apply(&self, change: Change, _: Order) -> Result<Report, Refusal> {
+    async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
         let mut stands = self.stands.lock();
         match change {
             Change::Create { .. } | Change::Configure { .. } => {
@@ -187,6 +190,15 @@ impl Lcm for GuestLcm {
                     id: stands.id.clone(),
                     entry: "create",
                     text: "a guest's process has one component and no other".into(),
+                });
+            }
+            Change::Run { verb, to: State::Active, .. } if order.decision < stands.stopped => {
+                return Err(Refusal::WrongState {
+                    id: stands.id.clone(),
+                    state: stands.state,
+                    verb,
+                    allowed: allowed(stands.state),
+                    why: "it was stopped while this was being carried out".into(),
                 });
             }
             Change::Run { to, .. } => stands.state = to,
@@ -200,11 +212,12 @@ impl Lcm for GuestLcm {
         Ok(stands.report())
     }
 
-    async fn stop(&self, stop: Stop, _: Order) -> Result<Vec<Halted>, Refusal> {
+    async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
         let mut stands = self.stands.lock();
         if !stop.targets.iter().any(|target| target.names(&stands.id)) {
             return Ok(Vec::new());
         }
+        stands.stopped = stands.stopped.max(order.decision);
         let was = stands.state;
         if was == State::Active {
             stands.state = State::Stopped(StopReason::Requested);

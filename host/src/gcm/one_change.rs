@@ -2,6 +2,7 @@
 //!
 //! Invariant: a change is entered only after its LCM did it, and the wait for the LCM ends by the deadline.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use trocar_lcm_api::{Order, Report};
@@ -41,14 +42,29 @@ impl Gcm {
                 return Err(refusal);
             }
         };
-        self.enter_done(change, &report);
+        let mut loose = Vec::new();
+        self.edit(|graph| {
+            let is_newest = self.inner.sessions.lock().is_newest(&report);
+            let known = graph.components.get(&report.id).cloned();
+            let revision = graph.revision;
+            graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
+            graph.revision = revision;
+            loose = observe(graph, &report);
+            if !is_newest {
+                stand_by(graph, &report.id, known);
+            }
+        });
+        if let Change::Destroy { id, .. } = change {
+            self.inner.holds.lock().removed(id);
+        }
+        self.cut_off(loose);
         Ok(report)
     }
 
     /// Waits for an LCM as long as it may take.
     ///
     /// # Errors
-    /// What the LCM refuses; LcmTimeout.
+    /// The refusals of the LCM; LcmTimeout.
     pub(super) async fn in_time<T>(
         &self,
         process: &Name,
@@ -61,38 +77,22 @@ impl Gcm {
         asked.unwrap_or_else(|_| Err(timeout()))
     }
 
-    /// Enters a change that was done.
-    pub(super) fn enter_done(&self, change: &Change, report: &Report) {
+    /// Enters the state of components, where nothing newer is known of them.
+    pub(super) fn enter_states(&self, reports: &[&Report]) {
         let mut loose = Vec::new();
-        self.edit(|graph| {
-            let is_newest = self.inner.sessions.lock().is_newest(report);
-            let known = graph.components.get(&report.id).cloned();
-            let revision = graph.revision;
-            graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
-            graph.revision = revision;
-            loose = observe(graph, report);
-            if !is_newest {
-                stand_by(graph, &report.id, known);
+        self.edit_if(|graph| {
+            let (mut sessions, mut changed) = (self.inner.sessions.lock(), false);
+            for report in reports {
+                let as_told = |c: &Component| {
+                    (c.state, c.health, &c.fault) == (report.state, report.health, &report.fault)
+                };
+                let is_known = graph.components.get(&report.id).is_none_or(as_told);
+                if sessions.is_newest(report) && !is_known {
+                    loose.extend(observe(Arc::make_mut(graph), report));
+                    changed = true;
+                }
             }
-        });
-        if let Change::Destroy { id, .. } = change {
-            self.inner.holds.lock().removed(id);
-        }
-        self.cut_off(loose);
-    }
-
-    /// Enters how a component stands that was only looked at.
-    pub(super) fn enter_seen(&self, report: &Report) {
-        let same =
-            |c: &Component| (c.state, c.health, &c.fault) == (report.state, report.health, &report.fault);
-        if self.graph().components.get(&report.id).is_none_or(same) {
-            return;
-        }
-        let mut loose = Vec::new();
-        self.edit(|graph| {
-            if self.inner.sessions.lock().is_newest(report) {
-                loose = observe(graph, report);
-            }
+            changed
         });
         self.cut_off(loose);
     }

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_lcm_api::{Decision, Halted, Order, Stop, StoppedHere};
+use trocar_lcm_api::{Decision, Halted, Order, Report, Stop, StoppedHere};
 use trocar_model::{
     Change, ComponentId, Name, ProcessState, Refusal, Request, Skipped, State, SystemGraph, Target, Verb,
     plan,
@@ -16,9 +16,12 @@ use trocar_model::{
 
 use super::Gcm;
 use super::answer::{Answer, Executed};
+use super::changes::UNDO;
 use super::sessions::Untold;
 use super::wanted::RESTARTED;
 
+/// Pause before a process is told once more that its own Stop counts.
+const AGAIN: Duration = Duration::from_secs(1);
 /// Time to stop what was stopped while nobody could be told.
 const WITHIN: Duration = Duration::from_secs(5);
 
@@ -28,7 +31,7 @@ struct Halting {
     targets: Arc<Vec<Target>>,
     decision: Decision,
     deadline: Instant,
-    /// What the process was asked for itself, as far as this answers it.
+    /// Number of the last Stop at the process itself that this answers.
     known_here: u64,
     /// The only session that it is for.
     session: Option<u64>,
@@ -137,20 +140,17 @@ impl Gcm {
         }
     }
 
-    /// Enters what a process has stopped.
+    /// Enters the components that a process has stopped.
     fn note(&self, halted: Vec<Halted>, done: &mut Executed) {
+        let reports: Vec<&Report> = halted.iter().filter_map(|halted| halted.done.as_ref().ok()).collect();
+        self.enter_states(&reports);
         for Halted { id, was, done: stopped } in halted {
             match stopped {
-                Ok(report) if was == State::Active || was != report.state => {
-                    let change = Change::Run { id, verb: Verb::Stop, from: was, to: report.state };
-                    self.enter_done(&change, &report);
-                    done.plan.changes.push(change);
+                Ok(report) if was != report.state => {
+                    done.plan.changes.push(Change::Run { id, verb: Verb::Stop, from: was, to: report.state });
                     done.reports.push(report);
                 }
-                Ok(report) => {
-                    self.enter_seen(&report);
-                    done.plan.skipped.push(stands(id, was));
-                }
+                Ok(_) => done.plan.skipped.push(stands(id, was)),
                 Err(refusal) => {
                     log::error!("Stop {id}: {refusal}");
                     done.failed.push((Target::One(id), refusal));
@@ -250,6 +250,21 @@ impl Gcm {
         }
     }
 
+    /// Has a component stopped whose Start, of that decision, took longer than its caller waited; not one
+    /// that was started later. Not waited for.
+    pub(super) fn stop_late(&self, id: &ComponentId, decision: Decision) {
+        let (gcm, process) = (self.clone(), id.process.clone());
+        let (targets, deadline) = (Arc::new(vec![Target::One(id.clone())]), Instant::now() + UNDO);
+        let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
+        tokio::spawn(async move {
+            let mut done = Executed::default();
+            match gcm.halt_process(&process, &halting).await {
+                Ok(halted) => gcm.note(halted, &mut done),
+                Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
+            }
+        });
+    }
+
     /// Tells a process, which has come back as it was, the Stops that it could not be told.
     pub(super) fn tell_untold(&self, process: &Name, Untold { targets, decision }: Untold) {
         log::warn!("process {process} is told the Stops that came while it was away");
@@ -286,18 +301,26 @@ impl Gcm {
         tokio::spawn(async move {
             let counted = gcm.keep_stopped(&targets);
             let decision = gcm.inner.claims.decide_stop(&targets);
-            let targets = Arc::new(targets);
-            let deadline = Instant::now() + WITHIN;
-            let halting = Halting { targets, decision, deadline, known_here: told.number, session };
-            match gcm.halt_process(&process, &halting).await {
-                Ok(halted) => {
-                    gcm.note(halted, &mut Executed::default());
-                    if !counted {
-                        gcm.accepted();
+            let (targets, known_here) = (Arc::new(targets), told.number);
+            loop {
+                let deadline = Instant::now() + WITHIN;
+                let halting = Halting { targets: targets.clone(), decision, deadline, known_here, session };
+                match gcm.halt_process(&process, &halting).await {
+                    Ok(halted) => {
+                        gcm.note(halted, &mut Executed::default());
+                        if !counted {
+                            gcm.accepted();
+                        }
+                        return;
+                    }
+                    // It tells it again when it is back.
+                    Err(Refusal::ProcessLost { .. }) => return,
+                    // Until it hears this, it sets nothing in motion that its Stop named.
+                    Err(refusal) => {
+                        log::warn!("process {process} does not hear that its Stop counts: {refusal}");
+                        tokio::time::sleep(AGAIN).await;
                     }
                 }
-                // It tells it again when it is back.
-                Err(refusal) => log::warn!("process {process} does not hear that its Stop counts: {refusal}"),
             }
         });
     }
@@ -309,7 +332,7 @@ impl Halting {
     }
 }
 
-/// What a Stop of these would do, as far as the graph tells.
+/// Returns the effect that a Stop of these would have, as far as the graph tells.
 fn would_stop(graph: &SystemGraph, targets: &[Target]) -> Answer {
     let (mut known, mut failed) = (Vec::new(), Vec::new());
     for target in targets {
@@ -330,7 +353,8 @@ fn would_stop(graph: &SystemGraph, targets: &[Target]) -> Answer {
 fn stands(id: ComponentId, state: State) -> Skipped {
     let why = match state {
         State::Fault => "it was made safe when it failed",
-        _ => "nothing runs there",
+        State::Active => "it was started after this Stop was asked for",
+        State::Created | State::Ready | State::Stopped(_) => "nothing runs there",
     };
     Skipped { id, why: format!("it is {state}: {why}") }
 }

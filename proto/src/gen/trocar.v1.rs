@@ -2369,8 +2369,8 @@ pub struct StopResponse {
     /// Warnings: things that did not go as asked and were not refused.
     #[prost(string, repeated, tag = "5")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Components that could not be stopped, and names and patterns of nothing, with the reason; all others
-    /// stand still.
+    /// Components that could not be stopped, and names and patterns of nothing, with the reason; all
+    /// others stand still.
     #[prost(message, repeated, tag = "6")]
     pub failed: ::prost::alloc::vec::Vec<SkippedComponent>,
 }
@@ -3197,8 +3197,9 @@ pub mod gcm_service_client {
                 .insert(GrpcMethod::new("trocar.v1.GcmService", "Start"));
             self.inner.unary(req, path, codec).await
         }
-        /// Stops components, all at once; devices are made safe. Waits for no other request, and is refused only
-        /// where nothing of what it names could be stopped. A Start that was asked before it is taken back.
+        /// Stops components, all at once; devices are made safe. Waits for no other request, and is
+        /// refused only where nothing of all that it names could be stopped. A Start that was asked before
+        /// it is taken back.
         pub async fn stop(
             &mut self,
             request: impl tonic::IntoRequest<super::StopRequest>,
@@ -3638,8 +3639,9 @@ pub mod gcm_service_server {
             &self,
             request: tonic::Request<super::StartRequest>,
         ) -> std::result::Result<tonic::Response<super::StartResponse>, tonic::Status>;
-        /// Stops components, all at once; devices are made safe. Waits for no other request, and is refused only
-        /// where nothing of what it names could be stopped. A Start that was asked before it is taken back.
+        /// Stops components, all at once; devices are made safe. Waits for no other request, and is
+        /// refused only where nothing of all that it names could be stopped. A Start that was asked before
+        /// it is taken back.
         async fn stop(
             &self,
             request: tonic::Request<super::StopRequest>,
@@ -4974,8 +4976,8 @@ pub struct Inventory {
     /// True: nothing new can be made or connected in it.
     #[prost(bool, tag = "6")]
     pub unfit: bool,
-    /// Last decision of a GCM of which it has an order to start or to stop; the GCM that takes it in counts on
-    /// from there.
+    /// Last decision of a GCM of which it has an order to start or to stop; the GCM that takes it in
+    /// counts on from there.
     #[prost(uint64, tag = "7")]
     pub decision: u64,
     /// Stops it was asked for itself that no GCM has answered yet; absent = none.

@@ -173,13 +173,13 @@ fn stats_of(all: &SystemView, path: &str) -> StatsView {
     found.map(|c| c.stats.clone()).unwrap_or_default()
 }
 
-/// Where the video ends.
+/// The connection at which the video ends.
 fn end_of(all: &SystemView, parts: &Parts) -> ConnectionView {
     let end = all.connections.iter().find(|c| Some(&c.client) == parts.chain.last());
     end.cloned().unwrap_or_default()
 }
 
-/// What the summary counts: all of it so far, or what came in a window.
+/// Counts of the summary: all so far, or those of a window.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Counts {
     executed: u64,

@@ -192,7 +192,7 @@ struct Show<'a> {
     port: hosting::PortArgs,
     /// Set while a screen shows the warnings.
     warnings: Cell<Option<Diverted>>,
-    /// What the summary of a demo that the user ends counts, from when it came up.
+    /// Counts of the summary of a demo that the user ends, from when it came up.
     tally: RefCell<Option<Tally>>,
 }
 

@@ -137,7 +137,7 @@ impl LocalLcm {
     /// Takes a component that was made into the list.
     ///
     /// # Errors
-    /// This LCM was closed meanwhile.
+    /// This LCM was closed meanwhile, or has another one of that name.
     fn take_in(&self, id: ComponentId, slot: &Slot) -> Result<Report, Refusal> {
         slot.instance.threads.set_settings(slot.executor.settings.clone());
         self.lock_pools(&slot.instance);
@@ -145,6 +145,10 @@ impl LocalLcm {
         let mut held = self.held();
         if held.closed {
             return Err(Refusal::lost(self.hub.process.clone()));
+        }
+        // Another Create of it, of a later session, was faster.
+        if held.components.contains_key(&id) {
+            return Err(Refusal::ComponentExists { id });
         }
         let mut kept = slot.clone();
         kept.give_phase(held.phases.get(&id));
@@ -353,6 +357,10 @@ impl LocalLcm {
         };
         join_all(named.into_iter().map(async |(id, slot)| {
             let was = slot.instance.state();
+            // Somebody who knew of this Stop has started it.
+            if was == State::Active && slot.instance.started_by() > order.decision.0 {
+                return Halted { id, was, done: Ok(slot.instance.report(false)) };
+            }
             goes_on_no_more(&slot);
             // A Start under way takes itself back, and is waited for, as is a stop under way.
             let done = match runs(&slot, was) {

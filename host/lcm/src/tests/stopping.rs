@@ -206,3 +206,53 @@ async fn a_second_stop_is_answered_when_the_first_has_brought_it_to_rest() {
     }
     world.end().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_that_comes_late_leaves_running_what_was_started_after_it_was_decided() {
+    let world = World::new("st_older");
+    world.create("arm", periodic(1000), Arc::new(Stuck::default())).await;
+    world.start_by("arm", 7).await.unwrap();
+    let halted = world.stop_by("arm", Decision(6)).await;
+    assert!(
+        matches!(&halted[..], [Halted { was: State::Active, done: Ok(r), .. }] if r.state == State::Active)
+    );
+    world.stop_by("arm", Decision(8)).await;
+    assert_eq!(world.report("arm").await.state, STOPPED);
+    world.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_configuration_that_comes_back_late_sets_nothing_in_motion_that_was_stopped_meanwhile() {
+    let world = World::new("st_back");
+    let (arm, open) = Stuck::in_entry("configure");
+    // The first one is let through.
+    open.send(()).unwrap();
+    world.create("arm", periodic(1000), arm.clone()).await;
+    world.start_by("arm", 1).await.unwrap();
+    let (again, door) = std::sync::mpsc::channel();
+    arm.close(door);
+    let (from, to) = (serde_json::json!({}), serde_json::json!({"gain": 2}));
+    let (from_state, to_state) = (State::Active, State::Active);
+    let change = Change::Configure { id: world.id("arm"), from, to, from_state, to_state };
+    let soon = Instant::now() + Duration::from_millis(20);
+    let refused = world.lcm.apply(change, soon.into()).await.unwrap_err();
+    assert_eq!(refused.reason(), "LCM_TIMEOUT", "{refused}");
+    let mut news = world.lcm.news();
+    {
+        let mut stopping = std::pin::pin!(world.stop_by("arm", Decision(2)));
+        tokio::select! {
+            biased;
+            early = &mut stopping => panic!("{early:?} although its code does not come back"),
+            () = std::future::ready(()) => {}
+        }
+        again.send(()).unwrap();
+        stopping.await;
+    }
+    assert_eq!(world.report("arm").await.state, STOPPED);
+    let mut told = Vec::new();
+    while let Ok(next) = news.try_recv() {
+        told.extend(if let News::State(report) = next { Some(report.state) } else { None });
+    }
+    assert_eq!((told.first(), told.contains(&State::Active)), (Some(&STOPPED), false), "{told:?}");
+    world.end().await;
+}

@@ -41,6 +41,11 @@ impl Stuck {
         (Arc::new(Stuck { entry, door: Mutex::new(Some(door)), ..Stuck::default() }), open)
     }
 
+    /// The next time it is inside that entry it stays there again.
+    pub(super) fn close(&self, door: Receiver<()>) {
+        *self.door.lock().unwrap() = Some(door);
+    }
+
     fn pass(&self, entry: &str) {
         if self.entry == entry
             && let Some(door) = self.door.lock().unwrap().take()

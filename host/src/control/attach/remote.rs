@@ -143,8 +143,8 @@ impl RemoteLcm {
     }
 
     /// Asks for something that rests on a decision.
-    async fn bid(&self, bidding: O, order: Order, what: &str) -> Result<A, Refusal> {
-        self.ask_for(self.number(), bidding, order, what, None).await
+    async fn order(&self, asked: O, order: Order, what: &str) -> Result<A, Refusal> {
+        self.ask_for(self.number(), asked, order, what, None).await
     }
 
     async fn ask_for(
@@ -257,14 +257,14 @@ fn wrong<T>() -> Result<T, Refusal> {
 impl Lcm for RemoteLcm {
     async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
         let what = crate::gcm::asked(&change);
-        match self.bid(O::Apply(convert::change_out(&change)), order, &what).await? {
+        match self.order(O::Apply(convert::change_out(&change)), order, &what).await? {
             A::Report(report) => convert::report_in(report),
             _ => wrong(),
         }
     }
 
     async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
-        match self.bid(O::Stop(convert::stop_out(&stop)), order, "a Stop").await? {
+        match self.order(O::Stop(convert::stop_out(&stop)), order, "a Stop").await? {
             A::Halted(halted) => convert::halted_in(halted),
             _ => wrong(),
         }

@@ -22,6 +22,10 @@ pub(super) use change::{
 pub(super) use graph::{Figures, component, connection, list, process, report, supervisor, told, wanted};
 pub(super) use json::duration_ns;
 pub(super) use refusal::{refusal, refusal_info};
-pub(super) use requests::{Common, configure, connect, create, disconnect, forget, remove, steps, targets};
-pub(super) use stopping::{halted_in, halted_out, stop_in, stop_out, stopped_here_in, stopped_here_out};
+pub(super) use requests::{
+    Common, ToStop, configure, connect, create, disconnect, forget, remove, steps, targets, to_stop,
+};
+pub(super) use stopping::{
+    decision_in, halted_in, halted_out, stop_in, stop_out, stopped_here_in, stopped_here_out,
+};
 pub(super) use types::{class, ports, provided};

@@ -74,8 +74,34 @@ pub(crate) fn configure(r: v1::ConfigureRequest) -> Result<Request, Refusal> {
     Ok(Request::Configure { id: ComponentId::parse(&r.path)?, patch, execution })
 }
 
-/// The components Start, Stop, Resume and Reset name.
+/// The components Start, Resume and Reset name.
 pub(crate) fn targets(verb: &str, paths: Vec<String>, path: String) -> Result<Vec<Target>, Refusal> {
+    texts(verb, paths, path)?.iter().map(|p| Target::parse(p)).collect()
+}
+
+/// Components of a Stop, and the texts that name none, which keep no other from being stopped.
+pub(crate) struct ToStop {
+    pub(crate) targets: Vec<Target>,
+    pub(crate) unread: Vec<(String, Refusal)>,
+}
+
+/// # Errors
+/// No text names anything.
+pub(crate) fn to_stop(paths: Vec<String>, path: String) -> Result<ToStop, Refusal> {
+    let mut stop = ToStop { targets: Vec::new(), unread: Vec::new() };
+    for text in texts("Stop", paths, path)? {
+        match Target::parse(&text) {
+            Ok(target) => stop.targets.push(target),
+            Err(refusal) => stop.unread.push((text, refusal)),
+        }
+    }
+    match stop.unread.first() {
+        Some((_, refusal)) if stop.targets.is_empty() => Err(refusal.clone()),
+        _ => Ok(stop),
+    }
+}
+
+fn texts(verb: &str, paths: Vec<String>, path: String) -> Result<Vec<String>, Refusal> {
     let all: Vec<String> = paths.into_iter().chain((!path.is_empty()).then_some(path)).collect();
     if all.is_empty() {
         return Err(invalid(
@@ -84,7 +110,7 @@ pub(crate) fn targets(verb: &str, paths: Vec<String>, path: String) -> Result<Ve
             "paths",
         ));
     }
-    all.iter().map(|p| Target::parse(p)).collect()
+    Ok(all)
 }
 
 pub(crate) fn connect(r: v1::ConnectRequest) -> Result<Request, Refusal> {

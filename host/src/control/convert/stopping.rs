@@ -51,7 +51,7 @@ pub(crate) fn stopped_here_in(stopped: v1::StoppedHere) -> Result<StoppedHere, R
 
 /// # Errors
 /// It is greater than any that a GCM gives: to count on from there would give none that is greater.
-pub(super) fn decision_in(number: u64) -> Result<Decision, Refusal> {
+pub(crate) fn decision_in(number: u64) -> Result<Decision, Refusal> {
     let decision = Decision(number);
     if decision <= Decision::MOST { Ok(decision) } else { Err(unreadable("decision")) }
 }

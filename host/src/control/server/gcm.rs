@@ -234,14 +234,16 @@ impl GcmService for Edge {
         if let (None, Some((process, lcm))) = (&self.gcm, &self.local) {
             return past::stop(process, lcm, request).await.map(Response::new);
         }
-        let (mut answer, done) =
-            mutate!(self, request, StopResponse { failed }, |r: v1::StopRequest| Ok(vec![Asked::Stop {
-                targets: convert::targets("Stop", r.paths, r.path)?
-            }]));
-        let failed = done.failed.iter();
-        answer.failed = failed
-            .map(|(id, refusal)| v1::SkippedComponent { path: id.to_string(), why: refusal.to_string() })
-            .collect();
+        let mut unread = Vec::new();
+        let (mut answer, done) = mutate!(self, request, StopResponse { failed }, |r: v1::StopRequest| {
+            let stop = convert::to_stop(r.paths, r.path)?;
+            unread = stop.unread;
+            Ok(vec![Asked::Stop { targets: stop.targets }])
+        });
+        answer.warnings.extend(unread.iter().map(|(text, refusal)| format!("{text}: {refusal}")));
+        let failed = done.failed.iter().map(|(target, refusal)| (target.to_string(), refusal.to_string()));
+        let unread = unread.into_iter().map(|(text, refusal)| (text, refusal.to_string()));
+        answer.failed = failed.chain(unread).map(|(path, why)| v1::SkippedComponent { path, why }).collect();
         Ok(Response::new(answer))
     }
 

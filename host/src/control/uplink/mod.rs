@@ -199,7 +199,7 @@ impl Tie {
     }
 
     async fn hello(&self, client: AttachServiceClient<Tokened>) -> Result<Session, Refused> {
-        // What is only just being remembered is in the slice.
+        // A change that is just being remembered is in the slice.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };
         Session::open(client, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await

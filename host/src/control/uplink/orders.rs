@@ -1,7 +1,7 @@
 //! Orders of the GCM, carried out by the LCM of this process.
 //!
 //! Invariant: each order runs in its own task, so that none delays a Stop; every order is answered, if only
-//! with a refusal. What the GCM was not told of before it was lost, it finds as it was.
+//! with a refusal. A change that was not done before the session ended is taken back.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use trocar_proto::v1::order::Order as O;
 
 use crate::control::convert;
 use crate::gcm::{asked, id_of, observe};
-use crate::lcm::{Decision, Invoke, Lcm, Lease, Order, Report};
+use crate::lcm::{Invoke, Lcm, Lease, Order, Report};
 
 /// Longest time an order may take.
 const MOST: Duration = Duration::from_secs(60);
@@ -30,7 +30,7 @@ const UNDO: Duration = Duration::from_secs(2);
 pub(super) type Told = Arc<Mutex<SystemGraph>>;
 
 pub(super) struct Orders {
-    ours: Ours,
+    local: Local,
     answers: mpsc::Sender<v1::Answer>,
     feeds: HashMap<u64, AbortHandle>,
     /// Feeds end with the session.
@@ -38,9 +38,9 @@ pub(super) struct Orders {
     lease: Lease,
 }
 
-/// What orders change.
+/// The process that orders change, and its memory of them.
 #[derive(Clone)]
-struct Ours {
+struct Local {
     lcm: Arc<dyn Lcm>,
     told: Told,
     quiet: Arc<RwLock<()>>,
@@ -54,8 +54,8 @@ impl Orders {
         answers: mpsc::Sender<v1::Answer>,
         lease: Lease,
     ) -> Orders {
-        let ours = Ours { lcm, told, quiet };
-        Orders { ours, answers, feeds: HashMap::new(), running: JoinSet::new(), lease }
+        let local = Local { lcm, told, quiet };
+        Orders { local, answers, feeds: HashMap::new(), running: JoinSet::new(), lease }
     }
 
     /// Begins it; the answer follows.
@@ -64,9 +64,13 @@ impl Orders {
         while self.running.try_join_next().is_some() {}
         self.feeds.retain(|_, feed| !feed.is_finished());
         let deadline = Instant::now() + Duration::from_nanos(order.deadline_ns).min(MOST);
-        let by = Order { deadline, decision: Decision(order.decision), lease: self.lease.clone() };
-        let (id, ours, answers) = (order.id, self.ours.clone(), self.answers.clone());
-        let lcm = ours.lcm.clone();
+        let (id, local, answers) = (order.id, self.local.clone(), self.answers.clone());
+        let decision = match convert::decision_in(order.decision) {
+            Ok(decision) => decision,
+            Err(unread) => return give(&answers, id, Err(unread)).await,
+        };
+        let by = Order { deadline, decision, lease: self.lease.clone() };
+        let lcm = local.lcm.clone();
         // The tasks are not the session's: what has begun is finished, or taken back, without it.
         match order.order {
             Some(O::Apply(change)) => {
@@ -76,22 +80,22 @@ impl Orders {
                 };
                 // Such an order is not waited for long, and cannot be taken back.
                 let busy = match is_short(&change) {
-                    true => Some(ours.quiet.clone().read_owned().await),
+                    true => Some(local.quiet.clone().read_owned().await),
                     false => None,
                 };
                 tokio::spawn(async move {
-                    let answer = ours.apply(change, by, busy).await;
+                    let answer = local.apply(change, by, busy).await;
                     give(&answers, id, answer.map(A::Report)).await;
                 });
             }
             Some(O::Link(end)) => {
                 _ = tokio::spawn(async move {
-                    give(&answers, id, ours.link(end, by).await.map(A::Report)).await;
+                    give(&answers, id, local.link(end, by).await.map(A::Report)).await;
                 })
             }
             Some(O::Stop(stop)) => {
                 _ = tokio::spawn(async move {
-                    give(&answers, id, ours.stop(stop, by).await.map(A::Halted)).await;
+                    give(&answers, id, local.stop(stop, by).await.map(A::Halted)).await;
                 })
             }
             Some(O::Subscribe(request)) => {
@@ -127,7 +131,7 @@ async fn give(answers: &mpsc::Sender<v1::Answer>, id: u64, answer: Result<A, Ref
     let _ = answers.send(v1::Answer { id, answer: Some(answer) }).await;
 }
 
-impl Ours {
+impl Local {
     /// Makes a change, and remembers it.
     async fn apply(
         &self,
@@ -145,7 +149,7 @@ impl Ours {
         Ok(convert::report(&report))
     }
 
-    /// Does the same as [`Ours::apply`], for a connection to another process.
+    /// Does the same as [`Local::apply`], for a connection to another process.
     async fn link(&self, end: v1::LinkOrder, by: Order) -> Result<v1::ComponentReport, Refusal> {
         let end = convert::remote_in(end)?;
         let change = Change::Connect { connection: end.connection.clone() };
@@ -177,11 +181,13 @@ impl Ours {
             return Ok(busy);
         }
         let (what, process) = (asked(change), id_of(change).process.clone());
-        log::warn!("the GCM was lost before it heard that this was done: {what}; it is taken back");
-        if let Some(back) = way_back(change)
-            && let Err(refusal) = self.lcm.apply(back, (Instant::now() + UNDO).into()).await
-        {
-            log::error!("taking back: {what}: {refusal}");
+        let Some(back) = way_back(change) else {
+            log::warn!("{what} was done after its GCM was lost, and cannot be taken back");
+            return Err(Refusal::lost(process));
+        };
+        log::warn!("{what} was done after its GCM was lost: it is taken back");
+        if let Err(refusal) = self.lcm.apply(back, (Instant::now() + UNDO).into()).await {
+            log::error!("{what} cannot be taken back: {refusal}");
         }
         Err(Refusal::lost(process))
     }

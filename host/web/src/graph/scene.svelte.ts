@@ -1,4 +1,4 @@
-/// What stands in the graph, for what is drawn between it.
+/// Parts of the graph, for what is drawn between them.
 import { SvelteMap } from 'svelte/reactivity';
 import { placed, type Wanted } from '../lib/labels';
 import type { Box } from '../lib/layout';

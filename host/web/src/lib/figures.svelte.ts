@@ -34,7 +34,7 @@ export interface EdgeFigures {
   stalled: boolean;
 }
 
-/// What List said of a connection, and how many steps its source had executed then.
+/// A connection as List told it, and the steps that its source had executed then.
 interface Look {
   at: number;
   c: Connection;

@@ -1,11 +1,11 @@
-/// Where the figures of all wires stand, and how much each of them says.
+/// Places of the figures of all wires, and how much each of them says.
 ///
 /// Invariant: no label covers a card, a port or another label. One without room says less, the latency goes
 /// first; one that still has none is left out, except where it warns.
 import type { Box, Placed } from './layout';
 import { wide } from './text';
 
-/// What a label may say.
+/// Words of a label.
 export interface Words {
   rate: string;
   /// Empty: no latency is measured.
@@ -39,7 +39,7 @@ export interface Spot extends Placed {
   form: Form;
 }
 
-/// How far ports stand out of a card, px.
+/// Distance by which ports stand out of a card, px.
 const PORT = 5.5;
 /// Between two labels, px.
 const APART = 2;

@@ -83,7 +83,7 @@ class Page {
       const answer = await call();
       for (const s of answer.skipped ?? []) this.tell(`${what}: ${s.path} was left alone: ${s.why}`, true);
       for (const f of answer.failed ?? []) this.tell(`${what}: ${f.path}: ${f.why}`, true);
-      // What failed is a warning, too, for programs that do not look there.
+      // A failure is a warning, too, for programs that do not look there.
       const failed = new Set(answer.failed?.map((f) => `${f.path}: ${f.why}`));
       for (const w of answer.warnings ?? []) if (!failed.has(w)) this.warn(`${what}: ${w}`);
       if (!answer.skipped?.length && !failed.size) this.tell(`${what}: done`);

@@ -1,4 +1,4 @@
-/// How wide words are, before they are drawn.
+/// Widths of words, before they are drawn.
 ///
 /// Invariant: it is the page's own font that is measured, so that what is reckoned has room on each machine.
 
