@@ -28,6 +28,7 @@ mod types;
 mod unit;
 mod value;
 mod violation;
+mod wanted;
 
 pub use change::{Change, Plan, Skipped, inverse};
 pub use class::{
@@ -58,3 +59,4 @@ pub use types::{EnumType, Field, Prim, StructType, Type};
 pub use unit::{Unit, UnitError};
 pub use value::{ValueError, check_range, decode, encode, from_float, interpolate};
 pub use violation::Violation;
+pub use wanted::{Entry, Grant, Incarnation, Wanted, WantedComponent};

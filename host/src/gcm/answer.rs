@@ -62,4 +62,4 @@ impl std::fmt::Debug for Executed {
 }
 
 /// Answer to a request.
-pub(super) type Answer = Result<Executed, Refusal>;
+pub type Answer = Result<Executed, Refusal>;

@@ -11,6 +11,7 @@ mod guest_lcm;
 mod holds;
 mod ids;
 mod isolation;
+mod journal;
 mod lines;
 mod requests;
 mod sessions;
@@ -52,7 +53,7 @@ pub(crate) mod fake;
 #[cfg(test)]
 mod tests;
 
-pub use answer::{ExecuteOptions, Executed};
+pub use answer::{Answer, ExecuteOptions, Executed};
 pub use awaiting_event::Listening;
 pub(crate) use awaiting_state::given_ns;
 pub(crate) use changes::id_of;
@@ -62,6 +63,7 @@ pub use holding::Held;
 pub use ids::IdsError;
 pub use isolated::{Supervising, Supervisor};
 pub use isolation::{Isolated, Wanted};
+pub use journal::{Asked, Loaded, Record, Remembered, Snapshot, Store, StoreError, Unusable};
 pub use lines::Lines;
 pub use manager::Gcm;
 pub(crate) use observed::observe;
