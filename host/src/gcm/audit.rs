@@ -7,27 +7,67 @@ use std::collections::BTreeMap;
 use std::io;
 
 use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
 use trocar_model::{ConnectOptions, Execution, PortId, Refusal, Request, Target, Which};
 
-use super::answer::Answer;
+use super::answer::{Answer, ExecuteOptions};
+use super::journal::Asked;
+use super::requests::Hash;
 use crate::system_file::words::{spelled, spelled_options};
 
 /// Longest request that is written whole, bytes.
 const MOST: usize = 4096;
 
-pub(super) fn write(identity: &str, requests: &[Request], answer: &Answer) {
+/// Writes the line of a request.
+pub(super) fn write(asked: &Asked, answer: &Answer) {
     let outcome = match answer {
         Ok(done) => format!("revision {}", done.revision),
         Err(refusal) => refused(refusal),
     };
-    log::info!(target: "audit", "{identity} asked {}: {outcome}", asked(requests));
+    log::info!(target: "audit", "{} asked {}: {outcome}", asked.identity, asked.text);
+}
+
+/// Returns a request as it is put on record.
+pub(super) fn asked_by(options: &ExecuteOptions, requests: &[Request]) -> Asked {
+    let ExecuteOptions { identity, request_id, .. } = options;
+    let hash = if request_id.is_empty() { Hash::default() } else { hash(requests) };
+    Asked { identity: identity.clone(), request_id: request_id.clone(), hash, text: asked(requests) }
+}
+
+/// Returns the hash of requests in their own JSON; those that differ only in the order of keys are the same.
+fn hash(requests: &[Request]) -> Hash {
+    hash_of(|hashing| {
+        // Neither the hash nor JSON of plain data fails.
+        let _ = serde_json::to_writer(hashing, &requests.iter().map(request).collect::<Vec<_>>());
+    })
+}
+
+/// Returns the hash of what is written.
+pub(super) fn hash_of(write: impl FnOnce(&mut Hashing)) -> Hash {
+    let mut hashing = Hashing(Sha256::new());
+    write(&mut hashing);
+    hashing.0.finalize().into()
+}
+
+pub(super) struct Hashing(Sha256);
+
+impl io::Write for Hashing {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 fn refused(refusal: &Refusal) -> String {
     format!("refused: {} {refusal}", refusal.reason())
 }
 
-fn asked(requests: &[Request]) -> String {
+/// Returns requests in their own JSON, cut where they are long.
+pub(super) fn asked(requests: &[Request]) -> String {
     let mut text = Cut::default();
     let written = match requests {
         [one] => serde_json::to_writer(&mut text, &request(one)),

@@ -6,12 +6,11 @@
 
 use std::sync::Arc;
 
-use trocar_model::{
-    Change, Connection, Name, Plan, Process, ProcessState, Refusal, Request, SystemGraph, plan_all,
-};
+use trocar_model::{Change, Name, Plan, Process, ProcessState, Refusal, Request, SystemGraph, plan_all};
 
 use super::Gcm;
 use super::fate::dismiss;
+use super::observed::Loose;
 use super::remote::awaited;
 use super::sessions::Sessions;
 
@@ -65,7 +64,7 @@ impl Gcm {
     /// # Errors
     /// One of the processes has come back meanwhile.
     pub(super) fn take_away(&self, requests: &[Request], plan: &Plan) -> Result<(), Refusal> {
-        let (mut back, mut cut, mut strays) = (None, Vec::<Connection>::new(), Vec::new());
+        let (mut back, mut cut, mut strays) = (None, Vec::new(), Vec::new());
         let forgotten: Vec<&Name> = requests
             .iter()
             .filter_map(|request| match request {
@@ -83,7 +82,7 @@ impl Gcm {
                 if let Change::Disconnect { connection, .. } = change
                     && !connection.is_near()
                 {
-                    cut.push(connection.clone());
+                    cut.push(Loose::cut(connection.clone()));
                 }
                 Arc::make_mut(graph).carry_out(change);
             }
@@ -102,6 +101,9 @@ impl Gcm {
             if let Change::Destroy { id, .. } = change {
                 self.inner.holds.lock().removed(id);
             }
+        }
+        for process in &forgotten {
+            self.left(process);
         }
         self.not_wanted(&forgotten.into_iter().cloned().collect());
         // Their other halves.

@@ -15,6 +15,7 @@ use trocar_model::{
 use super::answer::Executed;
 use super::changes::{HUNG, UNDO, id_of};
 use super::claims::{Claim, Part, Planned};
+use super::observed::stand_by;
 use super::{Gcm, text};
 
 /// A change set being carried out.
@@ -67,8 +68,13 @@ impl<'a> Carrying<'a> {
                 log::warn!("{} stays stopped: what is taken back sets no actuator in motion", id_of(&change));
                 continue;
             }
-            if let Err(refusal) = self.one(&change, Instant::now() + UNDO).await {
-                log::error!("undoing it ({}): {refusal}", text::line(&change));
+            match self.one(&change, Instant::now() + UNDO).await {
+                Ok(_) => {}
+                // Its process makes up for it when it is back: it is to have what was decided.
+                Err(Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. }) => {
+                    self.gcm.taken_back(&change);
+                }
+                Err(refusal) => log::error!("undoing it ({}): {refusal}", text::line(&change)),
             }
         }
     }
@@ -172,6 +178,19 @@ impl<'a> Carrying<'a> {
 }
 
 impl Gcm {
+    /// Takes a change back in the graph alone.
+    fn taken_back(&self, undo: &Change) {
+        // How a component stands, its process tells.
+        if matches!(undo, Change::Run { .. }) {
+            return;
+        }
+        self.edit(|graph| {
+            let known = graph.components.get(id_of(undo)).cloned();
+            graph.carry_out(undo);
+            stand_by(graph, id_of(undo), known);
+        });
+    }
+
     /// Tells the requests under way which components are removed by force: those that hang are not waited
     /// for. Returns the component to be removed, when the request is nothing else.
     ///

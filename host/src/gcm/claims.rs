@@ -12,7 +12,7 @@ use parking_lot::Mutex;
 use tokio::sync::watch;
 use trocar_lcm_api::Decision;
 use trocar_model::{
-    Change, ComponentId, Pattern, Plan, Refusal, Request, SystemGraph, Target, Verb, Which, host_of,
+    Change, ComponentId, Name, Pattern, Plan, Refusal, Request, SystemGraph, Target, Verb, Which, host_of,
 };
 
 use super::changes::id_of;
@@ -223,6 +223,12 @@ impl Claims {
         list.forgotten > decision || later.into_iter().any(|(_, targets)| targets.iter().any(|t| t.names(id)))
     }
 
+    /// Counts on from the last decision of the GCM before this one.
+    pub(super) fn count_from(&self, last: Decision) {
+        let mut list = self.list.lock();
+        list.last = list.last.max(last.0.min(Decision::MOST.0));
+    }
+
     /// Counts on from a decision that a process has seen: of a GCM before this one. One that no GCM can have
     /// come to is not taken, since numbers do not come back.
     pub(super) fn count_on(&self, seen: Decision) {
@@ -232,6 +238,13 @@ impl Claims {
         } else {
             log::warn!("a process says that it has seen decision {}, which nobody has come to", seen.0);
         }
+    }
+
+    /// Returns the components of a process that requests under way touch.
+    pub(super) fn under_way(&self, process: &Name) -> Vec<ComponentId> {
+        let list = self.list.lock();
+        let parts = list.entries.iter().filter(|e| e.under_way).flat_map(|e| &e.part.ids);
+        parts.filter(|id| id.process == *process).cloned().collect()
     }
 
     /// Waits for a part of the system and takes it in the step that plans.

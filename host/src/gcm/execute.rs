@@ -8,17 +8,20 @@ use std::time::Instant;
 
 use trocar_lcm_api::Decision;
 use trocar_model::{
-    Change, ComponentId, Name, Plan, Refusal, Request, Safety, State, SystemGraph, Verb, brief, plan_all,
+    Change, ComponentId, Entry, Name, Plan, Refusal, Request, Safety, State, SystemGraph, Verb, brief,
+    plan_all,
 };
 
 use super::answer::{Answer, ExecuteOptions, Executed};
 use super::away::plan_away;
 use super::carrying::Carrying;
+use super::changes::id_of;
 use super::claims::Planned;
 use super::generated::first_part;
 use super::isolated::asked_isolated;
 use super::isolation::Isolated;
-use super::requests::Known;
+use super::journal::Asked;
+use super::requests::{Hash, Known};
 use super::{Gcm, audit};
 
 impl Gcm {
@@ -27,20 +30,20 @@ impl Gcm {
     /// # Errors
     /// Whatever the plan or a component refuses; then what was done is undone. A Stop goes on over failures.
     pub async fn execute(&self, requests: Vec<Request>, options: ExecuteOptions) -> Answer {
-        let deadline = options.until();
+        let (asked, deadline) = (audit::asked_by(&options, &requests), options.until());
         let since = self.inner.claims.arrive();
-        let answer = self.audited(&requests, &options, (since, deadline));
+        let answer = self.audited(&requests, &options, &asked, (since, deadline));
         // The answer to a Stop is what stands still now, not what did when somebody asked that before.
         if is_stop(&requests) {
             return answer.await;
         }
-        self.once(&requests, &options, deadline, answer).await
+        self.once(asked.hash, &options, deadline, answer).await
     }
 
     /// Carries the requests out, unless the same was asked under its id before.
     pub(super) async fn once(
         &self,
-        asked: &impl std::fmt::Debug,
+        asked: Hash,
         options: &ExecuteOptions,
         deadline: Instant,
         carried_out: impl Future<Output = Answer>,
@@ -76,15 +79,31 @@ impl Gcm {
         &self,
         requests: &[Request],
         options: &ExecuteOptions,
+        asked: &Asked,
         (since, deadline): (Decision, Instant),
     ) -> Answer {
-        let answer = if is_stop(requests) {
-            self.stop(requests, options.validate_only, deadline).await
-        } else {
-            self.change(requests, options, (since, deadline)).await
+        if is_stop(requests) {
+            let answer = self.stop(requests, options.validate_only, asked, deadline).await;
+            if !options.validate_only {
+                audit::write(asked, &answer);
+            }
+            return answer;
+        }
+        let (answer, record) = match self.change(requests, options, asked, (since, deadline)).await {
+            Ok((done, record)) => (Ok(done), record),
+            Err(refusal) => (Err(refusal), None),
         };
-        if !options.validate_only {
-            audit::write(&options.identity, requests, &answer);
+        if options.validate_only {
+            return answer;
+        }
+        audit::write(asked, &answer);
+        match record {
+            Some(record) => self.inner.ledger.durable(record).await,
+            // Nobody waits for the record that nothing has changed.
+            None => {
+                let request = Some((asked.clone(), answer.clone()));
+                self.inner.ledger.enter(|_| (Entry::Noted, request));
+            }
         }
         answer
     }
@@ -93,10 +112,11 @@ impl Gcm {
         &self,
         requests: &[Request],
         options: &ExecuteOptions,
+        asked: &Asked,
         (since, deadline): (Decision, Instant),
-    ) -> Answer {
-        if let Some(done) = self.remove_away(requests, options).await? {
-            return Ok(done);
+    ) -> Result<(Executed, Option<u64>), Refusal> {
+        if self.is_away_isolated(requests, options)? {
+            return self.remove_away(requests, asked, since).await;
         }
         let is_expected = options.expected_revision.is_none_or(|r| r == self.graph().revision);
         if is_expected && !options.validate_only {
@@ -128,29 +148,47 @@ impl Gcm {
         let (claim, graph, plan) = match self.claim_part(requests, (since, deadline), decide).await {
             // The component went with the request that had made it.
             Err(Refusal::ComponentNotFound { id, .. }) if forced == Some(&id) => {
-                return Ok(Executed { revision: self.graph().revision, ..Executed::default() });
+                return Ok((Executed { revision: self.graph().revision, ..Executed::default() }, None));
             }
             planned => planned?,
         };
         let mut done = Executed { revision: graph.revision, plan, ..Executed::default() };
         if options.validate_only {
-            return Ok(done);
+            return Ok((done, None));
         }
         if away.load(Ordering::Relaxed) {
             self.take_away(requests, &done.plan)?;
-            done.revision = self.accepted();
-            return Ok(done);
+            let record = self.done(&mut done, since, asked);
+            return Ok((done, Some(record)));
         }
         if done.plan.changes.is_empty() {
-            return Ok(done);
+            return Ok((done, None));
         }
         let waiting = &requests[at_once.load(Ordering::Relaxed)..];
         // The part is kept until the request has its revision.
         let carrying = Carrying::begin(self, claim);
         self.carry_out(&carrying, waiting, isolated, &mut done, deadline).await?;
         warn_bereft(&graph, &mut done);
-        done.revision = self.accepted();
-        Ok(done)
+        let record = self.done(&mut done, since, asked);
+        Ok((done, Some(record)))
+    }
+
+    /// Decides a request whose changes are done: it gets its revision, and is on record. Returns the number of
+    /// the record.
+    pub(super) fn done(&self, done: &mut Executed, since: Decision, asked: &Asked) -> u64 {
+        let changes = self.on_record(&done.plan.changes);
+        self.decide(|revision| {
+            done.revision = revision;
+            let entry = Entry::Changed { revision, decision: since.0, changes };
+            (entry, Some((asked.clone(), Ok(done.clone()))))
+        })
+    }
+
+    /// Returns the changes that outlive this GCM: guests and their connections do not.
+    fn on_record(&self, changes: &[Change]) -> Vec<Change> {
+        let graph = self.graph();
+        let is_guests = |process: &Name| graph.processes.get(process).is_some_and(|p| !p.guest.is_empty());
+        changes.iter().filter(|change| !is_guests(&id_of(change).process)).cloned().collect()
     }
 
     /// Does the plan in `done`, then the requests that had to wait for ports: all, or nothing.

@@ -5,10 +5,11 @@
 
 use std::sync::Arc;
 
-use trocar_model::{Connection, Name, Process, ProcessState, SystemGraph, Warnings};
+use trocar_model::{Entry, Name, Process, ProcessState, SystemGraph, Warnings};
 
 use super::Gcm;
 use super::heard::said_lost;
+use super::observed::Loose;
 use super::remote::awaited;
 
 /// State of a process, as its supervisor tells it.
@@ -41,7 +42,7 @@ impl Gcm {
     /// Enters what a supervisor tells. A process that the supervisor has seen end is lost at once, whatever
     /// its stream still pretends.
     pub fn told(&self, told: &Told) {
-        let (mut cut, mut strays, mut lost, mut dismissed) = (Vec::new(), Vec::new(), None, false);
+        let (mut cut, mut strays, mut lost, mut dismissed) = (Vec::<Loose>::new(), Vec::new(), None, false);
         self.edit_if(|graph| {
             let mut sessions = self.inner.sessions.lock();
             // Another incarnation or a foreign process is here; or the process was taken down after this was
@@ -86,6 +87,7 @@ impl Gcm {
         });
         said_lost(&told.process, lost);
         if dismissed {
+            self.left(&told.process);
             self.not_wanted(&[told.process.clone()].into());
         }
         // Their other halves.
@@ -109,14 +111,22 @@ fn never_seen(pid: u32) -> Process {
     }
 }
 
-pub(super) fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<Connection>) -> bool {
+impl Gcm {
+    /// Puts on record that a process was taken out of the system, with all it had.
+    pub(crate) fn left(&self, process: &Name) {
+        self.enter(Entry::Gone { revision: self.graph().revision, process: process.clone() });
+    }
+}
+
+pub(super) fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<Loose>) -> bool {
     if !graph.processes.contains_key(process) {
         return false;
     }
     let graph = Arc::make_mut(graph);
     graph.processes.remove(process);
     let before = graph.components.len();
-    cut.extend(graph.connections.values().filter(|c| !c.is_near() && c.ends_in(process)).cloned());
+    let halves = graph.connections.values().filter(|c| !c.is_near() && c.ends_in(process)).cloned();
+    cut.extend(halves.map(Loose::cut));
     graph.connections.retain(|_, c| !c.ends_in(process));
     graph.components.retain(|id, _| id.process != *process);
     if graph.components.len() != before {

@@ -8,13 +8,18 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
+use trocar_lcm_api::Decision;
 use trocar_model::{
     Change, ComponentId, Name, Plan, Process, ProcessState, Refusal, Request, SystemGraph, Target,
 };
 
 use super::Gcm;
 use super::answer::{ExecuteOptions, Executed};
+use super::away::plan_away;
+use super::changes::id_of;
 use super::isolation::{Isolated, Isolation, Wanted};
+use super::journal::Asked;
+use super::observed::Loose;
 
 /// Longest wait for a process that is not wanted any more: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
@@ -226,36 +231,67 @@ impl Gcm {
         }
     }
 
-    /// Removes an isolated component whose process is away, by ending that process. `None`: no such removal
-    /// is asked.
+    /// Tells whether an isolated component is to be removed whose process is away: that process is ended, with or
+    /// without an answer of it.
     ///
     /// # Errors
-    /// RevisionConflict; ProcessLost when its supervisor does not answer.
-    pub(super) async fn remove_away(
+    /// RevisionConflict.
+    pub(super) fn is_away_isolated(
         &self,
         requests: &[Request],
         options: &ExecuteOptions,
-    ) -> Result<Option<Executed>, Refusal> {
-        let [Request::Remove { id, force }] = requests else { return Ok(None) };
+    ) -> Result<bool, Refusal> {
+        let [Request::Remove { id, force }] = requests else { return Ok(false) };
         let graph = self.graph();
-        let Some(process) = graph.processes.get(&id.process) else { return Ok(None) };
+        let Some(process) = graph.processes.get(&id.process) else { return Ok(false) };
         let used = || {
             let mut ends = graph.connections.values().flat_map(|c| [&c.client, &c.server]);
             ends.any(|end| end.component == *id)
         };
         let is_here = process.state == ProcessState::Attached || !graph.components.contains_key(id);
         if options.validate_only || is_here || !force && used() || !self.is_wanted(&id.process) {
-            return Ok(None);
+            return Ok(false);
         }
-        if let Some(expected) = options.expected_revision.filter(|expected| *expected != graph.revision) {
-            return Err(Refusal::RevisionConflict { expected, actual: graph.revision });
+        match options.expected_revision.filter(|expected| *expected != graph.revision) {
+            Some(expected) => Err(Refusal::RevisionConflict { expected, actual: graph.revision }),
+            None => Ok(true),
         }
-        self.end_isolated([id.process.clone()].into()).await;
-        let graph = self.graph();
-        match graph.processes.get(&id.process) {
-            Some(there) => Err(there.lost(&id.process)),
-            None => Ok(Some(Executed { revision: graph.revision, ..Executed::default() })),
+    }
+
+    /// Removes it. Its process is not wanted from now on, which cannot be taken back: should it come once more
+    /// before it is ended, it has nothing that is wanted.
+    ///
+    /// # Errors
+    /// The refusals of the plan.
+    pub(super) async fn remove_away(
+        &self,
+        requests: &[Request],
+        asked: &Asked,
+        since: Decision,
+    ) -> Result<(Executed, Option<u64>), Refusal> {
+        let plan = plan_away(&self.graph(), requests)?;
+        let ids: Vec<ComponentId> = plan.changes.iter().map(|change| id_of(change).clone()).collect();
+        let mut done = Executed { plan, ..Executed::default() };
+        let mut cut = Vec::new();
+        self.edit(|graph| {
+            for change in &done.plan.changes {
+                if let Change::Disconnect { connection, .. } = change {
+                    cut.push(Loose::cut(connection.clone()));
+                }
+                graph.carry_out(change);
+            }
+        });
+        let record = self.done(&mut done, since, asked);
+        self.inner.ledger.durable(record).await;
+        for id in &ids {
+            self.inner.holds.lock().removed(id);
         }
+        self.cut_off(cut);
+        self.end_isolated(
+            ids.into_iter().map(|id| id.process).filter(|process| self.is_wanted(process)).collect(),
+        )
+        .await;
+        Ok((done, Some(record)))
     }
 
     fn is_wanted(&self, process: &Name) -> bool {

@@ -64,7 +64,7 @@ pub struct Loaded {
 }
 
 /// Why a store cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unusable {
     /// It cannot be written now: full, read-only, gone. It may be later.
     Now,

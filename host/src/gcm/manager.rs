@@ -8,12 +8,16 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use tokio::sync::watch;
-use trocar_model::SystemGraph;
+use trocar_lcm_api::Decision;
+use trocar_model::{Entry, SystemGraph};
 
+use super::answer::Answer;
 use super::claims::Claims;
 use super::holds::Holds;
 use super::ids::Ids;
 use super::isolation::Isolation;
+use super::journal::{Asked, Snapshot};
+use super::ledger::{Bell, Ledger};
 use super::lines::Lines;
 use super::requests::Answers;
 use super::sessions::Sessions;
@@ -36,22 +40,27 @@ pub(super) struct Inner {
     /// The processes for isolated components.
     pub(super) isolation: watch::Sender<Isolation>,
     lines: Arc<Lines>,
+    /// Everything that was decided.
+    pub(super) ledger: Ledger,
 }
 
 impl Gcm {
-    /// A GCM without processes.
-    pub(super) fn new(ids: Ids, each_change: Duration) -> Gcm {
-        let graph = SystemGraph { next_connection: 1, ..SystemGraph::default() };
+    /// A GCM that goes on from there and hears no process yet. With a bell, its records go to a store.
+    pub(super) fn new(ids: Ids, each_change: Duration, past: Snapshot, bell: Option<Bell>) -> Gcm {
+        let Snapshot { wanted, answers } = past;
+        let (graph, claims) = (wanted.unseen(), Claims::default());
+        claims.count_from(Decision(wanted.decision));
         let inner = Inner {
-            ids,
             each_change,
             graph: watch::channel(Arc::new(graph)).0,
-            sessions: Mutex::default(),
-            claims: Claims::default(),
-            answers: Mutex::default(),
+            sessions: Mutex::new(Sessions::after(&wanted)),
+            claims,
+            answers: Mutex::new(Answers::after(answers)),
             holds: Mutex::default(),
             isolation: watch::Sender::new(Isolation::default()),
             lines: Arc::default(),
+            ledger: Ledger::new(ids.term(), wanted, bell),
+            ids,
         };
         Gcm { inner: Arc::new(inner) }
     }
@@ -85,8 +94,17 @@ impl Gcm {
         self.inner.graph.send_modify(|graph| f(Arc::make_mut(graph)));
     }
 
-    /// Counts one more accepted request.
-    pub(super) fn accepted(&self) -> u64 {
+    /// Counts one more accepted request, and enters what it has decided. Returns the number of the record.
+    pub(super) fn decide(&self, entry: impl FnOnce(u64) -> (Entry, Option<(Asked, Answer)>)) -> u64 {
+        self.inner.ledger.enter(|_| entry(self.accepted()))
+    }
+
+    /// Enters something that was decided before.
+    pub(super) fn enter(&self, entry: Entry) -> u64 {
+        self.inner.ledger.enter(|_| (entry, None))
+    }
+
+    fn accepted(&self) -> u64 {
         let mut revision = 0;
         self.edit(|graph| {
             graph.revision += 1;

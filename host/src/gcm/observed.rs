@@ -6,15 +6,29 @@
 use std::time::Instant;
 
 use trocar_lcm_api::Report;
-use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Refusal, SystemGraph};
+use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Entry, Refusal, SystemGraph};
 
 use super::Gcm;
 use super::changes::UNDO;
 
+/// A connection that was taken out of the graph.
+#[derive(Clone, Debug)]
+pub(crate) struct Loose {
+    pub(super) connection: Connection,
+    /// An LCM may still have it.
+    pub(super) is_left: bool,
+}
+
+impl Loose {
+    /// A connection that LCMs still have.
+    pub(super) fn cut(connection: Connection) -> Loose {
+        Loose { connection, is_left: true }
+    }
+}
+
 /// Enters what an LCM reported; components the graph does not have are not added. Returns the connections
-/// that no longer fit and which the LCM did not say it had cut, and those of which another LCM has the other
-/// half.
-pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connection> {
+/// that went.
+pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Loose> {
     let Some(component) = graph.components.get_mut(&report.id) else { return Vec::new() };
     component.state = report.state;
     component.health = report.health;
@@ -24,25 +38,23 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Connectio
     if let Some(ports) = others {
         component.ports = ports.clone();
     }
-    let (mut gone, mut halves) = (false, Vec::new());
+    let mut gone = Vec::new();
     for number in &report.lost_connections {
         let id = ConnectionId(*number);
         if let Some(c) = graph.connections.get(&id).filter(|c| touches(c, &report.id)).cloned() {
             log::warn!("{}: its port went at {}", cut(&c), report.id);
             graph.connections.remove(&id);
-            gone = true;
-            if !c.is_near() {
-                halves.push(c);
-            }
+            // Another LCM has the other half.
+            gone.push(Loose { is_left: !c.is_near(), connection: c });
         }
     }
-    if gone {
+    if !gone.is_empty() {
         graph.revision += 1;
     }
     if changed {
-        halves.extend(loosen(graph, &report.id));
+        gone.extend(loosen(graph, &report.id));
     }
-    halves
+    gone
 }
 
 /// Puts a component back to its known state, after a report that came late: neither that report nor the
@@ -54,12 +66,12 @@ pub(super) fn stand_by(graph: &mut SystemGraph, id: &ComponentId, known: Option<
 }
 
 /// Takes the connections of a component that do not fit any more out of the graph.
-pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<Connection> {
+pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<Loose> {
     let mut taken = Vec::new();
     for (number, why) in graph.loose_ends(id) {
         if let Some(connection) = graph.connections.remove(&number) {
             log::warn!("{}: {why}", cut(&connection));
-            taken.push(connection);
+            taken.push(Loose::cut(connection));
         }
     }
     if !taken.is_empty() {
@@ -86,9 +98,15 @@ impl Gcm {
         lcm.apply(Change::Disconnect { connection, replaced: false }, deadline.into()).await.map(|_| ())
     }
 
-    /// Has the LCMs cut what was taken out of the graph, should they still have it. Not waited for.
-    pub(super) fn cut_off(&self, connections: Vec<Connection>) {
-        for connection in connections {
+    /// Puts on record that connections were taken out of the graph, and has the LCMs cut those that they may
+    /// still have. Not waited for.
+    pub(super) fn cut_off(&self, loose: Vec<Loose>) {
+        if loose.is_empty() {
+            return;
+        }
+        let connections = loose.iter().map(|loose| loose.connection.id).collect();
+        self.enter(Entry::Cut { revision: self.graph().revision, connections });
+        for Loose { connection, .. } in loose.into_iter().filter(|loose| loose.is_left) {
             let gcm = self.clone();
             tokio::spawn(async move {
                 let number = connection.id.0;

@@ -2,18 +2,20 @@
 //!
 //! Invariant: a process that was lost or replaced while it was taken in changes nothing.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use tokio::sync::mpsc;
 use trocar_lcm_api::{Inventory, Lcm, Report};
 use trocar_model::{
-    ComponentId, Connection, ConnectionId, Here, Name, Process, ProcessState, Refusal, State, SystemGraph,
+    Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process, ProcessState,
+    Refusal, State, SystemGraph, WantedComponent,
 };
 
 use super::Gcm;
 use super::follow::follow;
-use super::observed::{loosen, observe};
+use super::observed::{Loose, loosen, observe};
+use super::reconcile::differs;
 use super::remote::settle;
 use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
 
@@ -34,6 +36,7 @@ impl Gcm {
         inventory: Inventory,
     ) -> Result<Registered, Refusal> {
         self.inner.claims.count_on(inventory.decision);
+        let is_guest = !who.guest.is_empty();
         let stopped_here = inventory.stopped_here.clone();
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
@@ -44,16 +47,24 @@ impl Gcm {
             self.inner.sessions.lock().claim(&graph, &self.inner.ids, &who, lcm.clone(), asks, card)?
         };
         let Claimed { session, epoch, back } = claimed;
+        if !is_guest {
+            let incarnation = Incarnation { instance: who.instance, epoch };
+            self.enter(Entry::Came { process: who.process.clone(), incarnation });
+        }
+        let granted = self.granted(&who.process, epoch);
         let mut taken = TakenIn::default();
         self.edit(|graph| {
             let mut sessions = self.inner.sessions.lock();
             // Its end was told, or it was replaced, while it was taken in.
             if sessions.holder(&who.process) == Some(session) {
-                taken = take_in(&mut sessions, graph, &who, &claimed, inventory);
+                taken = take_in(&mut sessions, graph, &who, &claimed, inventory, &granted);
             }
         });
         let word = if back { "is back" } else { "registered" };
         log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
+        if taken.is_brought && !is_guest {
+            self.bring(&who.process);
+        }
         self.cut_off(taken.loose);
         self.cut_strays(taken.strays);
         let (gcm, lcm) = (Arc::downgrade(&self.inner), Arc::downgrade(&lcm));
@@ -73,9 +84,45 @@ impl Gcm {
         }
         match taken.gets_back {
             Some(here) => _ = tokio::spawn(self.clone().restore(who.process, session, here)),
-            None => _ = tokio::spawn(self.clone().link_missing(who.process)),
+            None => {
+                _ = tokio::spawn(self.clone().settle_in(who, session, taken.differs.then(|| self.graph())))
+            }
         }
         Ok(Registered { session, epoch, term: self.term(), revision: self.graph().revision })
+    }
+}
+
+impl Gcm {
+    /// Returns the components of a process that may run: those whose start was decided for this incarnation of
+    /// it, or is not decided yet.
+    fn granted(&self, process: &Name, epoch: u64) -> BTreeSet<ComponentId> {
+        let wanted = self.inner.ledger.wanted();
+        let mine = wanted.components.keys().filter(|id| id.process == *process);
+        let granted: BTreeSet<_> = mine.filter(|id| wanted.is_granted(id, epoch)).cloned().collect();
+        drop(wanted);
+        granted.into_iter().chain(self.inner.claims.under_way(process)).collect()
+    }
+
+    /// Puts on record what a process has brought along that was not on record.
+    fn bring(&self, process: &Name) {
+        let graph = self.graph();
+        let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
+        let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+        let as_wanted = |component: &Component| WantedComponent::seen(component, graph.revision, epoch);
+        self.enter(Entry::Brought {
+            revision: graph.revision,
+            process: process.clone(),
+            components: mine.map(|(id, component)| (id.clone(), as_wanted(component))).collect(),
+            connections: graph.connections.values().filter(|c| c.ends_in(process)).cloned().collect(),
+        });
+    }
+
+    /// Makes a process that is here have what is wanted, and nothing else.
+    async fn settle_in(self, who: Registration, session: u64, differs_from: Option<Arc<SystemGraph>>) {
+        if let Some(then) = differs_from {
+            self.reconcile(&who.process, session, who.slice, then).await;
+        }
+        self.link_missing(who.process).await;
     }
 }
 
@@ -83,7 +130,11 @@ impl Gcm {
 #[derive(Default)]
 struct TakenIn {
     /// Connections that do not fit any more.
-    loose: Vec<Connection>,
+    loose: Vec<Loose>,
+    /// The word of the process was taken for what was decided.
+    is_brought: bool,
+    /// The process may have something else than is wanted.
+    differs: bool,
     /// Halves to be cut, by process.
     strays: Vec<(Name, Connection)>,
     /// Components to be stopped that run.
@@ -99,26 +150,45 @@ fn take_in(
     who: &Registration,
     claimed: &Claimed,
     inventory: Inventory,
+    granted: &BTreeSet<ComponentId>,
 ) -> TakenIn {
     let mut taken = TakenIn::default();
     let empty = who.slice.components.is_empty() && inventory.components.is_empty();
     let begins = !claimed.back && empty && graph.components.keys().any(|id| id.process == who.process);
+    // What was decided counts, where it is known: a process is evidence of how it stands.
+    let is_known = claimed.back && who.revision <= graph.revision;
+    graph.revision = graph.revision.max(who.revision);
+    let is_there = |id: &ComponentId| inventory.components.iter().any(|report| report.id == *id);
+    let lacks = is_known && graph.components.keys().any(|id| id.process == who.process && !is_there(id));
     // The process may be lost, and come back, in the middle of its restart.
     let goes_on = claimed.back && sessions.wanted.is_unfinished(&who.process);
     graph.proxies.retain(|_, half| half.process != who.process);
     sessions.counts_anew(&who.process);
-    if begins || goes_on {
+    if begins || goes_on || lacks {
         sessions.wanted.begin(&who.process);
         taken.gets_back = Some(already(graph, who, &inventory));
     } else {
-        adopt(graph, who, claimed.back, &inventory);
+        if is_known {
+            inventory.components.iter().for_each(|report| taken.loose.extend(observe(graph, report)));
+        } else {
+            adopt(graph, who, &inventory);
+            taken.is_brought = true;
+        }
         taken.owed = sessions.wanted.owed(graph, &who.process);
         sessions.wanted.here(&who.process, &taken.owed);
+        if is_known {
+            let runs = |report: &&Report| report.state == State::Active && !granted.contains(&report.id);
+            let owed = |id: &ComponentId| taken.owed.iter().any(|(other, _)| other == id);
+            let unasked: Vec<_> =
+                inventory.components.iter().filter(runs).filter(|report| !owed(&report.id)).collect();
+            taken.owed.extend(unasked.into_iter().map(|report| (report.id.clone(), report.state)));
+        }
     }
-    taken.strays = settle(sessions, graph, who);
+    taken.differs = is_known && differs(graph, who, &inventory);
+    settle(sessions, graph, who, &mut taken.strays, &mut taken.loose);
     // A component that is not configured yet does not have all its ports.
     if taken.gets_back.is_none() {
-        taken.loose = inventory.components.iter().flat_map(|report| loosen(graph, &report.id)).collect();
+        taken.loose.extend(inventory.components.iter().flat_map(|report| loosen(graph, &report.id)));
     }
     for half in inventory.halves {
         let key = (ConnectionId(half.connection), half.end);
@@ -162,16 +232,11 @@ fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -
     here
 }
 
-/// Enters the components and connections of a process: those it was told to have, as far as it still has
-/// them. [`settle`] handles the connections to other processes.
-fn adopt(graph: &mut SystemGraph, who: &Registration, back: bool, inventory: &Inventory) {
+/// Enters the components and connections of a process of which there is no earlier word: those it was told to
+/// have, as far as it still has them. [`settle`] handles the connections to other processes.
+fn adopt(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) {
     let Slice { mut components, mut connections } = who.slice.clone();
     let mine = |c: &Connection| c.is_near() && c.ends_in(&who.process);
-    if back && components.is_empty() {
-        let ours = graph.components.iter().filter(|(id, _)| id.process == who.process);
-        components = ours.map(|(id, c)| (id.clone(), c.clone())).collect();
-        connections = graph.connections.values().filter(|c| mine(c)).cloned().collect();
-    }
     graph.components.retain(|id, _| id.process != who.process);
     graph.connections.retain(|_, c| !mine(c));
     connections.retain(mine);

@@ -13,6 +13,7 @@ use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGr
 
 use super::Gcm;
 use super::changes::UNDO;
+use super::observed::Loose;
 use super::sessions::{Registration, Sessions};
 
 impl Gcm {
@@ -166,15 +167,16 @@ fn other<'c>(connection: &'c Connection, process: &Name) -> &'c Name {
 }
 
 /// Decides which connections to other processes a registering process has. Decisions of this GCM count first.
-/// A connection from before this GCM counts as soon as both processes have brought it along. Returns the
-/// halves to be cut, by process.
+/// A connection from before this GCM counts as soon as both processes have brought it along. `strays`: the
+/// halves to be cut, by process; `loose`: connections that are taken out.
 pub(super) fn settle(
     sessions: &mut Sessions,
     graph: &mut SystemGraph,
     who: &Registration,
-) -> Vec<(Name, Connection)> {
+    strays: &mut Vec<(Name, Connection)>,
+    loose: &mut Vec<Loose>,
+) {
     let me = &who.process;
-    let mut strays = Vec::new();
     let ends_known = |graph: &SystemGraph, c: &Connection| {
         [&c.client, &c.server].iter().all(|end| graph.components.contains_key(&end.component))
     };
@@ -184,6 +186,7 @@ pub(super) fn settle(
     for connection in without {
         graph.connections.remove(&connection.id);
         graph.revision += 1;
+        loose.push(Loose { connection: connection.clone(), is_left: false });
         strays.push((other(&connection, me).clone(), connection));
     }
     let mut brought = Vec::new();
@@ -215,7 +218,6 @@ pub(super) fn settle(
     }
     sessions.brought.insert(me.clone(), brought);
     strays.extend(awaited(sessions, me));
-    strays
 }
 
 /// Takes out the connections to a process that other processes have brought along: it does not have them, or

@@ -7,10 +7,12 @@ use std::collections::VecDeque;
 use std::fmt::{self, Debug, Write};
 use std::time::{Duration, Instant};
 
-use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 
 use super::answer::Answer;
+use super::journal::{Asked, Remembered};
+use super::ledger::wall_ns;
+use super::recording::at;
 
 const KEPT: usize = 4096;
 /// Bytes that all answers together may take, about.
@@ -29,6 +31,8 @@ pub(super) enum Known {
 
 struct Entry {
     at: Instant,
+    /// The same by the time of day, ns since 1970 (UTC).
+    wall_ns: u64,
     id: String,
     asked: Hash,
     /// Bytes of id and answer, as far as it is there.
@@ -50,17 +54,41 @@ pub(super) struct Answers {
 }
 
 impl Answers {
-    /// Looks an id up and takes it if it is free, in one step.
-    pub(super) fn ask(&mut self, id: &str, asked: &impl Debug, now: Instant) -> Known {
+    /// Answers of the GCM before this one, as far as they still count.
+    pub(super) fn after(remembered: Vec<Remembered>) -> Answers {
+        let mut answers = Answers::default();
+        for Remembered { wall_ns, asked, answer } in remembered {
+            let bytes = asked.request_id.len() + length(&answer);
+            answers.bytes += bytes;
+            let (id, hash, at) = (asked.request_id, asked.hash, at(wall_ns));
+            let answer = watch::channel(Some(answer)).1;
+            answers.kept.push_back(Entry { at, wall_ns, id, asked: hash, bytes, answer });
+            answers.bound();
+        }
+        answers
+    }
+
+    /// Returns the answers that were given, for the GCM after this one.
+    pub(super) fn remembered(&self) -> Vec<Remembered> {
+        let given = self.kept.iter().filter_map(|entry| {
+            let answer = entry.answer.borrow().clone()?;
+            let asked = Asked { request_id: entry.id.clone(), hash: entry.asked, ..Asked::default() };
+            Some(Remembered { wall_ns: entry.wall_ns, asked, answer })
+        });
+        given.collect()
+    }
+
+    /// Looks an id up and takes it if it is free, in one step. `asked`: hash of the request.
+    pub(super) fn ask(&mut self, id: &str, asked: Hash, now: Instant) -> Known {
         self.kept.retain(|e| !e.given_up() && now.saturating_duration_since(e.at) <= AGE);
         self.bytes = self.kept.iter().map(|e| e.bytes).sum();
-        let asked = hash(asked);
         if let Some(entry) = self.kept.iter().find(|e| e.id == id) {
             return if entry.asked == asked { Known::Same(entry.answer.clone()) } else { Known::Other };
         }
         let (tell, answer) = watch::channel(None);
         self.bytes += id.len();
-        self.kept.push_back(Entry { at: now, id: id.to_owned(), asked, bytes: id.len(), answer });
+        let (id, bytes, wall_ns) = (id.to_owned(), id.len(), wall_ns());
+        self.kept.push_back(Entry { at: now, wall_ns, id, asked, bytes, answer });
         self.bound();
         Known::New(tell)
     }
@@ -82,23 +110,8 @@ impl Answers {
     }
 }
 
-type Hash = [u8; 32];
-
-/// Returns the hash of a request; requests that differ only in the order of keys are the same, since maps are
-/// sorted.
-fn hash(asked: &impl Debug) -> Hash {
-    struct Hashing(Sha256);
-    impl Write for Hashing {
-        fn write_str(&mut self, text: &str) -> fmt::Result {
-            self.0.update(text.as_bytes());
-            Ok(())
-        }
-    }
-    let mut hashing = Hashing(Sha256::new());
-    // Neither the hash nor Debug of plain data fails.
-    let _ = write!(hashing, "{asked:?}");
-    hashing.0.finalize().into()
-}
+/// SHA-256 of a request in its own JSON, whose keys are sorted.
+pub(super) type Hash = [u8; 32];
 
 /// About as many bytes as an answer takes.
 fn length(answer: &Answer) -> usize {
@@ -127,44 +140,46 @@ fn length(answer: &Answer) -> usize {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use trocar_model::{Refusal, Request, Target};
+    use trocar_model::Refusal;
 
     use super::super::Executed;
     use super::*;
 
-    fn stop(path: &str) -> Vec<Request> {
-        vec![Request::Stop { targets: vec![Target::parse(path).unwrap()] }]
+    /// Hash of a request.
+    fn of(path: &str) -> Hash {
+        let mut hash = Hash::default();
+        let most = hash.len().min(path.len());
+        hash[..most].copy_from_slice(&path.as_bytes()[..most]);
+        hash
     }
 
     #[test]
     fn an_answer_is_forgotten_after_ten_minutes() {
         let (mut answers, now) = (Answers::default(), Instant::now());
-        let Known::New(tell) = answers.ask("a", &stop("host/robot"), now) else {
-            panic!("nobody asked before")
-        };
+        let Known::New(tell) = answers.ask("a", of("host/robot"), now) else { panic!("nobody asked before") };
         tell.send_replace(Some(Ok(Executed::default())));
         assert!(
-            matches!(answers.ask("a", &stop("host/robot"), now + AGE), Known::Same(_)),
+            matches!(answers.ask("a", of("host/robot"), now + AGE), Known::Same(_)),
             "forgotten too early"
         );
         let later = now + AGE + Duration::from_secs(1);
-        assert!(matches!(answers.ask("a", &stop("host/robot"), later), Known::New(_)), "kept too long");
+        assert!(matches!(answers.ask("a", of("host/robot"), later), Known::New(_)), "kept too long");
     }
 
     #[test]
     fn an_id_used_for_something_else_is_told_apart() {
         let (mut answers, now) = (Answers::default(), Instant::now());
-        let Known::New(_tell) = answers.ask("a", &stop("host/robot"), now) else {
+        let Known::New(_tell) = answers.ask("a", of("host/robot"), now) else {
             panic!("nobody asked before")
         };
-        assert!(matches!(answers.ask("a", &stop("host/other"), now), Known::Other));
+        assert!(matches!(answers.ask("a", of("host/other"), now), Known::Other));
     }
 
     #[test]
     fn an_id_whose_request_was_given_up_is_free_again() {
         let (mut answers, now) = (Answers::default(), Instant::now());
-        drop(answers.ask("a", &stop("host/robot"), now));
-        assert!(matches!(answers.ask("a", &stop("host/robot"), now), Known::New(_)));
+        drop(answers.ask("a", of("host/robot"), now));
+        assert!(matches!(answers.ask("a", of("host/robot"), now), Known::New(_)));
     }
 
     #[test]
@@ -173,7 +188,7 @@ mod tests {
         let text = "x".repeat(BYTES / 16);
         for i in 0..40 {
             let id = i.to_string();
-            let Known::New(tell) = answers.ask(&id, &stop(&format!("host/n{i}")), now) else {
+            let Known::New(tell) = answers.ask(&id, of(&format!("host/n{i}")), now) else {
                 panic!("nobody asked before")
             };
             let answer = Err(Refusal::Internal { text: text.clone() });
@@ -182,9 +197,9 @@ mod tests {
             assert!(answers.bytes <= BYTES, "{} bytes after {i}", answers.bytes);
         }
         assert!((10..=16).contains(&answers.kept.len()), "{} are kept", answers.kept.len());
-        assert!(matches!(answers.ask("39", &stop("host/n39"), now), Known::Same(_)), "the newest is kept");
+        assert!(matches!(answers.ask("39", of("host/n39"), now), Known::Same(_)), "the newest is kept");
         let late = now + AGE + Duration::from_secs(1);
-        assert!(matches!(answers.ask("new", &stop("host/new"), late), Known::New(_)));
+        assert!(matches!(answers.ask("new", of("host/new"), late), Known::New(_)));
         assert_eq!(answers.bytes, "new".len(), "what is forgotten counts no more");
     }
 
@@ -193,7 +208,7 @@ mod tests {
         let (mut answers, now) = (Answers::default(), Instant::now());
         let mut tells = Vec::new();
         for i in 0..KEPT + 10 {
-            tells.push(answers.ask(&i.to_string(), &stop("host/robot"), now));
+            tells.push(answers.ask(&i.to_string(), of("host/robot"), now));
         }
         assert_eq!(answers.kept.len(), KEPT);
     }

@@ -8,13 +8,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use trocar_model::{
-    Change, ComponentId, Connection, Health, Here, Name, Plan, Process, ProcessState, Refusal, State,
+    Change, ComponentId, Connection, Entry, Health, Here, Name, Plan, Process, ProcessState, Refusal, State,
     StopReason, SystemGraph, Verb, open_ends, restore,
 };
 
 use super::Gcm;
 use super::carrying::Carrying;
 use super::changes::id_of;
+use super::observed::Loose;
 use super::text;
 
 /// Time for one connection to another process, which may end in the middle of it.
@@ -64,7 +65,14 @@ impl Gcm {
             }
         };
         let carrying = Carrying::begin(&self, claim);
-        let Some(away) = self.make_again(&carrying, &plan, &process, session, &here).await else { return };
+        let Some((away, started)) = self.make_again(&carrying, &plan, &process, session, &here).await else {
+            return;
+        };
+        if !started.is_empty() {
+            // They run by a grant for this incarnation.
+            let (revision, decision) = (self.graph().revision, since.0);
+            self.enter(Entry::Changed { revision, decision, changes: started });
+        }
         log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
         // News told before would cover the notes.
         self.hear_out(&process).await;
@@ -74,7 +82,8 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
-    /// Carries out all changes of the plan; `None`: the process is gone.
+    /// Carries out all changes of the plan; `None`: the process is gone. Returns those, too, that set something
+    /// in motion.
     async fn make_again(
         &self,
         carrying: &Carrying<'_>,
@@ -82,8 +91,8 @@ impl Gcm {
         process: &Name,
         session: u64,
         here: &Here,
-    ) -> Option<Away> {
-        let mut away = Away::default();
+    ) -> Option<(Away, Vec<Change>)> {
+        let (mut away, mut started) = (Away::default(), Vec::new());
         let made = |id: &ComponentId| {
             let creates = |c: &Change| matches!(c, Change::Create { id: made, .. } if made == id);
             here.components.contains_key(id) || plan.changes.iter().any(creates)
@@ -113,6 +122,7 @@ impl Gcm {
                 done = carrying.one(change, deadline) => done,
             };
             match done {
+                Ok(_) if matches!(change, Change::Run { .. }) => started.push(change.clone()),
                 Ok(_) => {}
                 Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,
                 // The other process ended, too, or cannot be reached yet.
@@ -129,7 +139,7 @@ impl Gcm {
                 Err(refusal) => self.not_done(change, &refusal, &mut away),
             }
         }
-        Some(away)
+        Some((away, started))
     }
 
     /// True for a connection to another process that is not there, or not whole yet.
@@ -237,9 +247,7 @@ impl Gcm {
         if !gone {
             return;
         }
-        if !connection.is_near() {
-            self.cut_off(vec![connection.clone()]);
-        }
+        self.cut_off(vec![Loose { is_left: !connection.is_near(), connection: connection.clone() }]);
         let text = format!(
             "connection {} from {} to {} is gone: {why}",
             connection.id.0, connection.server, connection.client

@@ -32,6 +32,8 @@ pub struct Registration {
     pub epoch: u64,
     /// Components and connections it was told to have before; empty for a new process.
     pub slice: Slice,
+    /// Last revision it was told: a GCM that knows less than that learns from it.
+    pub revision: u64,
     /// Program of a process without an LCM; empty otherwise.
     pub guest: String,
 }
@@ -56,6 +58,7 @@ impl Registration {
             instance,
             epoch: 0,
             slice: Slice::default(),
+            revision: 0,
             guest: String::new(),
         }
     }
@@ -124,6 +127,13 @@ pub(super) struct Claimed {
 }
 
 impl Sessions {
+    /// Sessions of a GCM that goes on from there: it hears no process yet, and knows each by its incarnation.
+    pub(super) fn after(wanted: &trocar_model::Wanted) -> Sessions {
+        let known = wanted.processes.iter();
+        let last = known.map(|(name, held)| (name.clone(), (held.instance, held.epoch))).collect();
+        Sessions { last, ..Sessions::default() }
+    }
+
     /// Tells whether this report was looked up later than all that were entered before. News and answers come
     /// by different ways.
     pub(super) fn is_newest(&mut self, report: &Report) -> bool {

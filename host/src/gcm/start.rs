@@ -2,11 +2,49 @@
 //!
 //! Invariant: a GCM that could not make its term durable does not start.
 
+use std::fmt;
 use std::path::PathBuf;
+use std::sync::mpsc;
 use std::time::Duration;
+
+use trocar_model::Entry;
 
 use super::Gcm;
 use super::ids::{Ids, IdsError};
+use super::journal::{Loaded, Snapshot, Store, StoreError, Unusable};
+use super::recording::{fold, keep_writing};
+
+/// Why a GCM does not start.
+#[derive(Debug)]
+pub enum StartError {
+    Ids(IdsError),
+    Store(StoreError),
+    Threads(String),
+}
+
+impl fmt::Display for StartError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            StartError::Ids(e) => e.fmt(f),
+            StartError::Store(e) => e.fmt(f),
+            StartError::Threads(why) => write!(f, "the journal gets no thread: {why}"),
+        }
+    }
+}
+
+impl std::error::Error for StartError {}
+
+impl From<IdsError> for StartError {
+    fn from(e: IdsError) -> Self {
+        StartError::Ids(e)
+    }
+}
+
+impl From<StoreError> for StartError {
+    fn from(e: StoreError) -> Self {
+        StartError::Store(e)
+    }
+}
 
 /// Settings of a GCM.
 #[derive(Clone, Debug)]
@@ -30,7 +68,40 @@ impl Gcm {
     /// # Errors
     /// The state folder cannot be used.
     pub async fn start(config: GcmConfig) -> Result<Gcm, IdsError> {
-        let gcm = Gcm::new(Ids::open(config.state.as_deref())?, config.each_change);
+        let ids = Ids::open(config.state.as_deref())?;
+        let gcm = Gcm::new(ids, config.each_change, Snapshot::default(), None);
+        gcm.keep_phases();
+        Ok(gcm)
+    }
+
+    /// A GCM that goes on where the one before it ended: what was wanted then is wanted now, and its processes
+    /// are LOST until they are here.
+    ///
+    /// # Errors
+    /// The state folder cannot be used; the store is damaged, of a later release, or in use. One that cannot
+    /// be read now is tried again, and the GCM begins without it.
+    pub async fn resume(config: GcmConfig, mut store: Box<dyn Store>) -> Result<Gcm, StartError> {
+        let ids = Ids::open(config.state.as_deref())?;
+        let (store, loaded) = tokio::task::spawn_blocking(move || {
+            let loaded = store.load();
+            (store, loaded)
+        })
+        .await
+        .map_err(|e| StartError::Threads(e.to_string()))?;
+        let past = match loaded {
+            Ok(loaded) => fold(loaded),
+            Err(e) if e.unusable == Unusable::Now => {
+                log::error!("{e}; this GCM begins without what was decided before");
+                fold(Loaded::default())
+            }
+            Err(e) => return Err(e.into()),
+        };
+        let (bell, rung) = mpsc::sync_channel(1);
+        let gcm = Gcm::new(ids, config.each_change, past.snapshot, Some(bell));
+        keep_writing(&gcm.inner, store, rung, past.beside).map_err(|e| StartError::Threads(e.to_string()))?;
+        // On record before anything is decided by it.
+        let begun = gcm.enter(Entry::Noted);
+        gcm.inner.ledger.durable(begun).await;
         gcm.keep_phases();
         Ok(gcm)
     }

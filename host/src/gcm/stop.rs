@@ -10,20 +10,23 @@ use std::time::{Duration, Instant};
 
 use trocar_lcm_api::{Decision, Halted, Order, Report, Stop, StoppedHere};
 use trocar_model::{
-    Change, ComponentId, Name, ProcessState, Refusal, Request, Skipped, State, SystemGraph, Target, Verb,
-    plan,
+    Change, ComponentId, Entry, Name, ProcessState, Refusal, Request, Skipped, State, SystemGraph, Target,
+    Verb, plan,
 };
 
-use super::Gcm;
 use super::answer::{Answer, Executed};
 use super::changes::UNDO;
+use super::journal::Asked;
 use super::sessions::Untold;
 use super::wanted::RESTARTED;
+use super::{Gcm, audit};
 
 /// Pause before a process is told once more that its own Stop counts.
 const AGAIN: Duration = Duration::from_secs(1);
 /// Time to stop what was stopped while nobody could be told.
 const WITHIN: Duration = Duration::from_secs(5);
+/// Longest wait of the answer to a Stop for its record.
+const ON_RECORD: Duration = Duration::from_millis(100);
 
 /// The Stop of one request, or of a process that was asked itself.
 #[derive(Clone)]
@@ -39,7 +42,13 @@ struct Halting {
 
 impl Gcm {
     /// Stops; never refused for a revision, never behind another request.
-    pub(super) async fn stop(&self, requests: &[Request], validate_only: bool, deadline: Instant) -> Answer {
+    pub(super) async fn stop(
+        &self,
+        requests: &[Request],
+        validate_only: bool,
+        asked: &Asked,
+        deadline: Instant,
+    ) -> Answer {
         let targets = requests.iter().flat_map(|request| match request {
             Request::Stop { targets } => targets.as_slice(),
             _ => &[],
@@ -47,23 +56,47 @@ impl Gcm {
         let targets: Vec<Target> = targets.cloned().collect();
         if targets.is_empty() {
             // Refused with what is missing.
-            plan(&self.graph(), &Request::Stop { targets: targets.clone() })?;
+            let refused = plan(&self.graph(), &Request::Stop { targets: Vec::new() });
+            return refused.map(|plan| Executed { plan, ..Executed::default() });
         }
         if validate_only {
             return would_stop(&self.graph(), &targets);
         }
         let counted = self.keep_stopped(&targets);
         let decision = self.inner.claims.decide_stop(&targets);
-        let targets = Arc::new(targets);
-        let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
+        let halting =
+            Halting { targets: Arc::new(targets), decision, deadline, known_here: 0, session: None };
         let mut done = self.halt(&halting).await?;
         let stopped = done.plan.changes.iter().any(|change| matches!(change, Change::Run { .. }));
-        done.revision = if stopped && !counted { self.accepted() } else { self.graph().revision };
-        match done.failed.first() {
-            Some((_, refusal)) if done.reports.is_empty() && done.plan.skipped.is_empty() => {
-                Err(refusal.clone())
-            }
-            _ => Ok(done),
+        let mut answer = None;
+        let record = self.stop_on_record(&halting, stopped && !counted, |revision| {
+            done.revision = revision;
+            let refused = done.failed.first().map(|(_, refusal)| refusal.clone());
+            let told = match refused.filter(|_| done.reports.is_empty() && done.plan.skipped.is_empty()) {
+                Some(refusal) => Err(refusal),
+                None => Ok(std::mem::take(&mut done)),
+            };
+            answer = Some(told.clone());
+            Some((asked.clone(), told))
+        });
+        // It has acted; a disk that hangs does not keep the answer.
+        let _ = tokio::time::timeout(ON_RECORD, self.inner.ledger.durable(record)).await;
+        answer.unwrap_or_else(|| Err(Refusal::Internal { text: "a Stop without an answer".into() }))
+    }
+
+    /// Enters a Stop that has acted, as a change of the system where it is one. Returns the number of the
+    /// record.
+    fn stop_on_record(
+        &self,
+        halting: &Halting,
+        counts: bool,
+        request: impl FnOnce(u64) -> Option<(Asked, Answer)>,
+    ) -> u64 {
+        let (targets, decision) = (halting.targets.to_vec(), halting.decision.0);
+        let entry = |revision| (Entry::Stopped { revision, decision, targets }, request(revision));
+        match counts {
+            true => self.decide(entry),
+            false => self.inner.ledger.enter(|_| entry(self.graph().revision)),
         }
     }
 
@@ -236,7 +269,8 @@ impl Gcm {
             tokio::spawn(async move {
                 log::warn!("{id} was stopped while its process was away, and runs: it is stopped now");
                 let request = [Request::Stop { targets: vec![Target::One(id.clone())] }];
-                match gcm.stop(&request, false, Instant::now() + WITHIN).await {
+                let asked = Asked { text: audit::asked(&request), ..Asked::default() };
+                match gcm.stop(&request, false, &asked, Instant::now() + WITHIN).await {
                     Ok(done) if done.failed.is_empty() => {}
                     // It is stopped when its process is back again.
                     Ok(_) | Err(Refusal::StopNotTold { .. }) => return,
@@ -279,7 +313,7 @@ impl Gcm {
                 Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
             }
             if !done.plan.changes.is_empty() {
-                gcm.accepted();
+                gcm.stop_on_record(&halting, true, |_| None);
             }
         });
     }
@@ -294,7 +328,7 @@ impl Gcm {
         if targets.is_empty() || !self.inner.sessions.lock().answers_here(process, told.number) {
             return;
         }
-        let names = targets.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        let names = targets.iter().map(|target| format!("\"{target}\"")).collect::<Vec<_>>().join(",");
         log::info!(target: "audit", "process {process} was asked Stop {names} at its own port, past this GCM");
         let (gcm, process) = (self.clone(), process.clone());
         // Whoever enters news holds the graph, under which nothing is decided.
@@ -308,9 +342,10 @@ impl Gcm {
                 match gcm.halt_process(&process, &halting).await {
                     Ok(halted) => {
                         gcm.note(halted, &mut Executed::default());
-                        if !counted {
-                            gcm.accepted();
-                        }
+                        let text = format!("{{\"stop\":{{\"paths\":[{names}]}}}}");
+                        let identity = format!("process {process}, at its own port,");
+                        let asked = Asked { identity, text, ..Asked::default() };
+                        gcm.stop_on_record(&halting, !counted, |_| Some((asked, Ok(Executed::default()))));
                         return;
                     }
                     // It tells it again when it is back.

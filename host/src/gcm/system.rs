@@ -4,13 +4,15 @@
 //! and compared anew.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use trocar_model::{ComponentId, Name, Refusal};
 
-use super::Gcm;
 use super::answer::{Answer, ExecuteOptions, Executed};
+use super::journal::Asked;
+use super::{Gcm, audit};
 use crate::system_file::{Difference, Running, SystemFile};
 
 /// Comparisons of a system that others change meanwhile, at most.
@@ -24,7 +26,17 @@ impl Gcm {
     /// ArgumentInvalid for a text that is no system file; otherwise as [`Gcm::execute`].
     pub async fn apply_system(&self, text: &str, prune: bool, options: ExecuteOptions) -> Answer {
         let (file, deadline) = (parsed("Apply", text)?, options.until());
-        self.once(&(text, prune), &options, deadline, self.becomes(&file, prune, &options, deadline)).await
+        let hash = audit::hash_of(|hashing| {
+            // The hash takes everything.
+            let _ = write!(hashing, "{prune} {text}");
+        });
+        let by = Asked {
+            identity: options.identity.clone(),
+            request_id: options.request_id.clone(),
+            hash,
+            ..Asked::default()
+        };
+        self.once(hash, &options, deadline, self.becomes(&file, prune, &options, by, deadline)).await
     }
 
     async fn becomes(
@@ -32,6 +44,7 @@ impl Gcm {
         file: &SystemFile,
         prune: bool,
         options: &ExecuteOptions,
+        by: Asked,
         deadline: Instant,
     ) -> Answer {
         // One request, however often it is compared.
@@ -46,8 +59,9 @@ impl Gcm {
                 expected_revision: options.expected_revision.or(Some(graph.revision)),
                 ..options.clone()
             };
+            let asked = Asked { text: audit::asked(&requests), ..by.clone() };
             attempts += 1;
-            match self.audited(&requests, &compared, (since, deadline)).await {
+            match self.audited(&requests, &compared, &asked, (since, deadline)).await {
                 Err(Refusal::RevisionConflict { .. })
                     if options.expected_revision.is_none() && attempts < ATTEMPTS => {}
                 answer => return answer.map(|done| Executed { left, ..done }),

@@ -8,6 +8,7 @@ mod hearing;
 mod holding;
 mod interrupted;
 mod isolated;
+mod journal;
 mod keeping_stopped;
 mod phases;
 mod ports;

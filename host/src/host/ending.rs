@@ -16,6 +16,7 @@ use trocar_rt::house;
 
 use super::{HostError, StateDir};
 use crate::control::Server;
+use crate::gcm::Gcm;
 use crate::lcm::{LocalLcm, let_go_of_descriptors};
 
 /// Time that components may take to stand still at the end.
@@ -23,9 +24,14 @@ pub(super) const SHUTDOWN: Duration = Duration::from_secs(5);
 /// Time that a dropping thread waits for the host's end: components that hang are given up before.
 const DROPPED: Duration = Duration::from_secs(10);
 
+/// Longest wait for what the GCM has to put on record.
+const ON_RECORD: Duration = Duration::from_secs(1);
+
 /// Parts of a host to end, as far as they were started.
 pub(super) struct Running {
     pub(super) lcm: Option<Arc<LocalLcm>>,
+    /// Its own GCM.
+    pub(super) gcm: Option<Gcm>,
     pub(super) uplink: Option<JoinHandle<()>>,
     pub(super) server: Option<Server>,
     pub(super) watch: Option<WatchHandle>,
@@ -56,7 +62,7 @@ impl Ending {
     /// The machine gives no more threads.
     pub(super) fn prepare(state: Arc<StateDir>) -> Result<Ending, HostError> {
         let threads = |e: std::io::Error| HostError::Threads { because: e.to_string() };
-        let nothing = Running { lcm: None, uplink: None, server: None, watch: None, announced: None, state };
+        let nothing = Running { lcm: None, gcm: None, uplink: None, server: None, watch: None, announced: None, state };
         let running = Arc::new(Mutex::new(nothing));
         let (order, ordered) = mpsc::channel();
         let (tell, ended) = watch::channel(false);
@@ -104,18 +110,28 @@ impl Ending {
 
 async fn end(running: &Mutex<Running>, how: How) {
     let_go_of_descriptors();
-    let (lcm, uplink, server, watch, announced, state) = {
+    let (lcm, gcm, uplink, server, watch, announced, state) = {
         let mut r = running.lock();
         let r = &mut *r;
         let state = r.state.clone();
-        (r.lcm.take(), r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)
+        let (lcm, gcm) = (r.lcm.take(), r.gcm.take());
+        (lcm, gcm, r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)
     };
     if let Some(task) = &announced {
         task.abort();
     }
-    if let Some(lcm) = lcm {
+    if let Some(lcm) = &lcm {
         lcm.shutdown(SHUTDOWN).await;
     }
+    if let Some(gcm) = gcm {
+        if let Some(lcm) = &lcm {
+            // It ended in order: nothing of it is to come back.
+            gcm.left(lcm.process());
+        }
+        // A disk that hangs keeps nobody.
+        let _ = tokio::time::timeout(ON_RECORD, gcm.flush()).await;
+    }
+    drop(lcm);
     if let Some(task) = uplink {
         task.abort();
         if matches!(how, How::Orderly) {

@@ -146,6 +146,7 @@ impl Host {
         self.managed_by = config.gcm.clone();
         if config.gcm.is_none() {
             self.gcm = Some(start_gcm(&self.state).await?);
+            self.ending.running().gcm = self.gcm.clone();
         }
         if let Some(listen) = &config.listen {
             self.listen(ServeConfig {
@@ -182,6 +183,7 @@ impl Host {
     async fn bring_up_gcm(&mut self, listen: &str, rules: PortRules) -> Result<(), HostError> {
         let gcm = start_gcm(&self.state).await?;
         self.gcm = Some(gcm.clone());
+        self.ending.running().gcm = self.gcm.clone();
         self.listen(ServeConfig {
             listen: listen.to_owned(),
             gcm: Some(gcm),

@@ -4934,6 +4934,10 @@ pub struct Hello {
     /// The number this incarnation was given before, which it keeps; 0 = none.
     #[prost(uint64, tag = "7")]
     pub epoch: u64,
+    /// Last revision of the graph it was told: a GCM that knows less than that has lost what it had decided,
+    /// and learns from the slice.
+    #[prost(uint64, tag = "8")]
+    pub revision: u64,
 }
 /// The process was accepted.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -4954,6 +4958,9 @@ pub struct Heartbeat {
     /// Counts up.
     #[prost(uint64, tag = "1")]
     pub sequence: u64,
+    /// From the GCM: revision of the graph.
+    #[prost(uint64, tag = "2")]
+    pub revision: u64,
 }
 /// Status of everything an LCM has.
 #[derive(Clone, PartialEq, ::prost::Message)]

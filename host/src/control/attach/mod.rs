@@ -59,6 +59,7 @@ impl AttachEdge {
             instance: u128::from_be_bytes(instance),
             epoch: hello.epoch,
             slice: convert::slice_in(hello.slice.unwrap_or_default())?,
+            revision: hello.revision,
             guest: String::new(),
         };
         let lcm = RemoteLcm::new(process.clone(), out.clone());
@@ -182,7 +183,7 @@ impl Attached {
                         continue;
                     }
                     sequence += 1;
-                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence });
+                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence, revision: self.gcm.graph().revision });
                     // A full queue means it does not read: then its own lease ends.
                     let _ = out.try_send(Ok(message(beat)));
                 }

@@ -135,6 +135,9 @@ impl Tie {
     async fn stay(mut self, mut session: Session, tell: oneshot::Sender<Refusal>) {
         loop {
             let why = session.serve().await;
+            self.registration.revision = session.revision;
+            // What was ordered in it is taken back.
+            drop(session);
             log::warn!("the GCM at {} is lost ({why}); dialing again", self.addr);
             let mut pause = PAUSE.0;
             session = loop {

@@ -46,6 +46,8 @@ pub(super) struct Session {
     heard: watch::Sender<Instant>,
     /// The GCM's number for this incarnation of the process.
     pub(super) epoch: u64,
+    /// Last revision that was told.
+    pub(super) revision: u64,
 }
 
 impl Session {
@@ -67,6 +69,7 @@ impl Session {
             inventory: Some(convert::inventory_out(&inventory)),
             slice: Some(convert::slice_out(&who.slice)),
             epoch: who.epoch,
+            revision: who.revision,
         };
         let (out, outgoing) = mpsc::channel(QUEUE);
         let unheard = |why: &str| Refused::Unheard(why.to_owned());
@@ -75,10 +78,10 @@ impl Session {
         let stream = client.attach(ReceiverStream::new(outgoing)).await;
         let mut inbound = stream.map_err(|e| unheard(e.message()))?.into_inner();
         let mut early = Vec::new();
-        let epoch = loop {
+        let v1::Registered { epoch, revision, .. } = loop {
             let said = inbound.message().await.map_err(|e| unheard(e.message()))?;
             match said.and_then(|said| said.message) {
-                Some(attach_response::Message::Registered(r)) => break r.epoch,
+                Some(attach_response::Message::Registered(r)) => break r,
                 Some(attach_response::Message::Refused(info)) => {
                     return Err(Refused::ByGcm(convert::refusal(&info)));
                 }
@@ -94,11 +97,12 @@ impl Session {
         // By then the beats that were missed have ended the session, too.
         let lease = Lease::new(lease, BEAT * (LEASE + 1));
         let orders = Orders::new(lcm, told, quiet, answer, lease);
-        Ok(Session { inbound, out, orders, early, tasks, heard, epoch })
+        let revision = who.revision.max(revision);
+        Ok(Session { inbound, out, orders, early, tasks, heard, epoch, revision })
     }
 
     /// Carries out the GCM's orders until the GCM is lost; returns the reason.
-    pub(super) async fn serve(mut self) -> String {
+    pub(super) async fn serve(&mut self) -> String {
         for order in std::mem::take(&mut self.early) {
             self.orders.carry_out(order).await;
         }
@@ -129,8 +133,10 @@ impl Session {
                     match said.message {
                         Some(attach_response::Message::Order(order)) => self.orders.carry_out(order).await,
                         Some(attach_response::Message::Refused(info)) => return info.text,
-                        Some(attach_response::Message::Registered(_) | attach_response::Message::Heartbeat(_))
-                        | None => {}
+                        Some(attach_response::Message::Heartbeat(beat)) => {
+                            self.revision = self.revision.max(beat.revision);
+                        }
+                        Some(attach_response::Message::Registered(_)) | None => {}
                     }
                 }
                 _ = beat.tick() => {
@@ -142,7 +148,7 @@ impl Session {
                     }
                     silent += 1;
                     sequence += 1;
-                    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence });
+                    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence, revision: 0 });
                     // A full queue means the GCM does not read: then its own lease ends.
                     let _ = self.out.try_send(message(beat));
                 }

@@ -1,0 +1,406 @@
+//! A GCM that goes on where the one before it ended, and one whose store cannot be written.
+
+use std::sync::Weak;
+
+use parking_lot::Mutex;
+use serde_json::json;
+use trocar_model::{PortId, Wanted, WantedComponent};
+
+use super::super::fate::Fate;
+use super::super::recording::fold;
+use super::super::{Loaded, Record, Snapshot, Standing, StartError, Store, StoreError, Told, Unusable};
+use super::*;
+
+const STOPPED: State = State::Stopped(StopReason::Requested);
+
+/// A store whose content outlives the GCM.
+#[derive(Clone, Default)]
+struct Kept(Arc<Mutex<In>>);
+
+#[derive(Default)]
+struct In {
+    snapshot: Snapshot,
+    records: Vec<Record>,
+    /// All records ever.
+    all: Vec<Record>,
+    fails: Option<Unusable>,
+}
+
+impl Kept {
+    fn fail(&self, unusable: Option<Unusable>) {
+        self.0.lock().fails = unusable;
+    }
+
+    fn state(&self) -> Result<(), StoreError> {
+        let fails = self.0.lock().fails;
+        let error = |unusable| StoreError { file: "here".into(), unusable, why: "the disk is full".into() };
+        fails.map_or(Ok(()), |unusable| Err(error(unusable)))
+    }
+
+    /// All that it would tell the next GCM.
+    fn wanted(&self) -> Wanted {
+        let held = self.0.lock();
+        let loaded = Loaded { snapshot: held.snapshot.clone(), records: held.records.clone() };
+        drop(held);
+        fold(loaded).snapshot.wanted
+    }
+
+    fn texts(&self) -> Vec<String> {
+        let held = self.0.lock();
+        held.all.iter().filter_map(|record| Some(record.asked.as_ref()?.text.clone())).collect()
+    }
+}
+
+impl Store for Kept {
+    fn load(&mut self) -> Result<Loaded, StoreError> {
+        self.state()?;
+        let held = self.0.lock();
+        Ok(Loaded { snapshot: held.snapshot.clone(), records: held.records.clone() })
+    }
+
+    fn append(&mut self, records: &[Record]) -> Result<(), StoreError> {
+        self.state()?;
+        self.0.lock().records.extend_from_slice(records);
+        self.0.lock().all.extend_from_slice(records);
+        Ok(())
+    }
+
+    fn keep(&mut self, snapshot: &Snapshot) -> Result<(), StoreError> {
+        self.state()?;
+        let mut held = self.0.lock();
+        held.snapshot = snapshot.clone();
+        held.records.clear();
+        Ok(())
+    }
+}
+
+async fn gcm_with(store: &Kept) -> Gcm {
+    Gcm::resume(GcmConfig::default(), Box::new(store.clone())).await.unwrap()
+}
+
+/// A process and everything that it brings along when it comes back.
+struct Process {
+    lcm: Arc<FakeLcm>,
+    who: Registration,
+}
+
+impl Process {
+    async fn come(gcm: &Gcm, name_of: &str) -> Process {
+        let (lcm, who) = (FakeLcm::new(name_of), Registration::new(name(name_of), String::new()));
+        let mut process = Process { lcm, who };
+        process.is_back(gcm).await;
+        process
+    }
+
+    /// Comes to a GCM as it is.
+    async fn is_back(&mut self, gcm: &Gcm) -> Registered {
+        let registered = register(gcm, self.who.clone(), self.lcm.clone()).await.unwrap();
+        self.who.epoch = registered.epoch;
+        registered
+    }
+
+    /// Notes all that it was told to have, as an uplink does, and the revision.
+    fn was_told(&mut self, graph: &SystemGraph) {
+        let mine = graph.components.iter().filter(|(id, _)| id.process == self.who.process);
+        let components = mine.map(|(id, component)| (id.clone(), component.clone())).collect();
+        let wires = graph.connections.values().filter(|c| c.ends_in(&self.who.process));
+        self.who.slice = Slice { components, connections: wires.cloned().collect() };
+    }
+}
+
+fn connect(client: &str, server: &str) -> Request {
+    let port = |text| PortId::parse(text).unwrap();
+    Request::Connect { client: port(client), server: port(server), options: Default::default() }
+}
+
+fn with_id(id: &str) -> ExecuteOptions {
+    ExecuteOptions { request_id: id.into(), identity: "somebody".into(), ..ExecuteOptions::default() }
+}
+
+fn shown(graph: &SystemGraph) -> Vec<String> {
+    graph.components.iter().map(|(id, c)| format!("{id} {} {:?}", c.state, c.health)).collect()
+}
+
+#[tokio::test]
+async fn revision_connections_and_answers_outlive_the_gcm() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let mut host = Process::come(&first, "host").await;
+    let made = first.execute(vec![create("host/a")], with_id("make")).await.unwrap();
+    let refused = first.execute(vec![create("host/a")], with_id("again")).await.unwrap_err();
+    ask(&first, vec![create("host/b"), connect("host/b/input", "host/a/value"), start("host/b")])
+        .await
+        .unwrap();
+    host.was_told(&first.graph());
+    let before = first.graph();
+    first.flush().await;
+    drop(first);
+
+    let second = gcm_with(&store).await;
+    assert_eq!(second.graph().revision, before.revision);
+    assert_eq!(second.graph().connections, before.connections, "before its process is here");
+    assert_eq!(shown(&second.graph()), ["host/a READY Lost", "host/b ACTIVE Lost"]);
+    assert_eq!(second.graph().processes[&name("host")].state, ProcessState::Lost);
+    let asked = host.lcm.done().len();
+    let back = host.is_back(&second).await;
+    assert_eq!(back.epoch, before.processes[&name("host")].epoch);
+    assert_eq!(shown(&second.graph()), ["host/a READY Ok", "host/b ACTIVE Ok"]);
+    let again = second.execute(vec![create("host/a")], with_id("make")).await.unwrap();
+    assert_eq!((again.revision, plan_lines(&again.plan)), (made.revision, plan_lines(&made.plan)));
+    let refused_again = second.execute(vec![create("host/a")], with_id("again")).await.unwrap_err();
+    assert_eq!(refused_again, refused);
+    let other = second.execute(vec![create("host/x")], with_id("make")).await.unwrap_err();
+    assert_eq!(other.reason(), "ARGUMENT_INVALID", "the id stands for another request: {other}");
+    assert_eq!(host.lcm.done().len(), asked, "nothing is done again: {:?}", host.lcm.done());
+    let stale = ExecuteOptions { expected_revision: Some(before.revision - 1), ..ExecuteOptions::default() };
+    assert_eq!(
+        second.execute(vec![create("host/x")], stale).await.unwrap_err().reason(),
+        "REVISION_CONFLICT"
+    );
+    let done = ask(&second, vec![create("host/c"), connect("host/c/input", "host/a/value")]).await.unwrap();
+    assert_eq!(done.revision, before.revision + 1);
+    assert_eq!(second.graph().connections.len(), 2, "no number of a connection comes back");
+}
+
+#[tokio::test]
+async fn a_request_that_was_not_decided_when_the_gcm_ended_leaves_nothing() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let (mut a, mut b) = (Process::come(&first, "a").await, Process::come(&first, "b").await);
+    ask(&first, vec![create("a/arm"), create("a/cam"), connect("a/arm/input", "a/cam/value")]).await.unwrap();
+    let before = first.graph();
+    b.lcm.hold("Create b/new");
+    let requests = vec![
+        create("a/new"),
+        connect("a/cam/input", "a/new/value"),
+        start("a/new"),
+        Request::Configure { id: id("a/arm"), patch: json!({ "gain": 9.0 }), execution: None },
+        create("b/new"),
+    ];
+    let asking = tokio::spawn({
+        let first = first.clone();
+        async move { ask(&first, requests).await }
+    });
+    b.lcm.hangs("Create b/new").await;
+    assert_eq!(a.lcm.state("a/new"), Some(State::Active));
+    for process in [&mut a, &mut b] {
+        process.was_told(&first.graph());
+    }
+    asking.abort();
+    let _ = asking.await;
+    drop(first);
+
+    let second = gcm_with(&store).await;
+    a.is_back(&second).await;
+    b.is_back(&second).await;
+    until(&second, "what was not decided is away", |_| a.lcm.state("a/new").is_none()).await;
+    let done = a.lcm.done();
+    assert!(done.iter().any(|d| d == "Configure a/arm"), "{done:?}");
+    assert_eq!(second.graph().connections, before.connections);
+    assert_eq!(second.graph().components[&id("a/arm")].config, before.components[&id("a/arm")].config);
+    assert_eq!(shown(&second.graph()), ["a/arm READY Ok", "a/cam READY Ok"]);
+    ask(&second, vec![create("a/new")]).await.unwrap();
+}
+
+#[tokio::test]
+async fn what_was_stopped_while_its_process_was_away_stands_still_at_the_next_gcm() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let mut host = Process::come(&first, "host").await;
+    ask(&first, vec![create("host/arm"), create("host/cam"), start("host/*")]).await.unwrap();
+    host.was_told(&first.graph());
+    let session = first.inner.sessions.lock().holder(&name("host")).unwrap();
+    first.lost(&name("host"), session);
+    assert_eq!(ask(&first, vec![stop("host/arm")]).await.unwrap_err().reason(), "STOP_NOT_TOLD");
+    first.flush().await;
+    drop(first);
+    let second = gcm_with(&store).await;
+    host.is_back(&second).await;
+    until(&second, "it is stopped", |graph| component(graph, "host/arm").state == STOPPED).await;
+    assert_eq!(host.lcm.state("host/arm"), Some(STOPPED));
+    assert_eq!(host.lcm.state("host/cam"), Some(State::Active), "nobody stopped that");
+}
+
+#[tokio::test]
+async fn another_incarnation_gets_back_what_the_gcm_before_had_decided() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    Process::come(&first, "host").await;
+    ask(&first, vec![create("host/a"), create("host/b"), start("host/a")]).await.unwrap();
+    drop(first);
+    let second = gcm_with(&store).await;
+    let again = Process::come(&second, "host").await;
+    let attached = |graph: &SystemGraph| graph.processes[&name("host")].state == ProcessState::Attached;
+    until(&second, "all is made again", attached).await;
+    assert_eq!(again.lcm.state("host/a"), Some(State::Stopped(StopReason::Restarted)));
+    assert_eq!(again.lcm.state("host/b"), Some(State::Ready));
+}
+
+#[tokio::test]
+async fn a_process_that_was_taken_down_is_not_expected_any_more() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let host = Process::come(&first, "host").await;
+    ask(&first, vec![create("host/a")]).await.unwrap();
+    let (process, last_exit) = (name("host"), String::new());
+    first.told(&Told { process, fate: Fate::Dismissed, pid: host.who.pid, last_exit, restarts: 0 });
+    first.flush().await;
+    drop(first);
+    let second = gcm_with(&store).await;
+    assert!(second.graph().processes.is_empty() && second.graph().components.is_empty());
+}
+
+#[tokio::test]
+async fn a_gcm_that_knows_less_than_a_process_learns_from_it() {
+    // Its journal was lost.
+    let store = Kept::default();
+    let first = gcm_with(&Kept::default()).await;
+    let mut host = Process::come(&first, "host").await;
+    ask(&first, vec![create("host/a"), create("host/b"), connect("host/b/input", "host/a/value")])
+        .await
+        .unwrap();
+    ask(&first, vec![start("host/a")]).await.unwrap();
+    host.was_told(&first.graph());
+    host.who.revision = first.graph().revision;
+    let before = first.graph();
+    drop(first);
+    let second = gcm_with(&store).await;
+    host.is_back(&second).await;
+    assert_eq!(shown(&second.graph()), ["host/a ACTIVE Ok", "host/b READY Ok"]);
+    assert_eq!(second.graph().connections, before.connections);
+    assert_eq!(second.graph().revision, before.revision, "no number of a revision comes back");
+    second.flush().await;
+    assert_eq!(host.lcm.state("host/a"), Some(State::Active));
+    drop(second);
+    let third = gcm_with(&store).await;
+    assert_eq!(third.graph().connections, before.connections, "what it learned is on record");
+    host.is_back(&third).await;
+    assert_eq!(host.lcm.state("host/a"), Some(State::Active));
+    assert_eq!(shown(&third.graph()), ["host/a ACTIVE Ok", "host/b READY Ok"]);
+}
+
+#[tokio::test]
+async fn a_store_that_is_full_keeps_nobody_waiting_and_misses_nothing_later() {
+    let store = Kept::default();
+    let gcm = gcm_with(&store).await;
+    Process::come(&gcm, "host").await;
+    ask(&gcm, vec![create("host/a")]).await.unwrap();
+    assert_eq!(*gcm.journal().borrow(), Standing::Written);
+    store.fail(Some(Unusable::Now));
+    ask(&gcm, vec![create("host/b")]).await.unwrap();
+    ask(&gcm, vec![stop("host/b")]).await.unwrap();
+    let mut standing = gcm.journal();
+    let behind = standing.borrow().clone();
+    assert!(matches!(&behind, Standing::Behind { why } if why.contains("full")), "{behind:?}");
+    store.fail(None);
+    comes("the store has room again", standing.wait_for(|standing| *standing == Standing::Written))
+        .await
+        .unwrap();
+    ask(&gcm, vec![create("host/c")]).await.unwrap();
+    gcm.flush().await;
+    let wanted = store.wanted();
+    assert_eq!(wanted, *gcm.inner.ledger.wanted());
+    assert_eq!(wanted.components.len(), 3);
+    assert_eq!(store.texts().len(), 4, "{:?}", store.texts());
+}
+
+#[tokio::test]
+async fn a_store_that_is_damaged_is_not_begun_with_and_one_that_is_away_is() {
+    let store = Kept::default();
+    for unusable in [Unusable::Damaged, Unusable::Newer, Unusable::InUse] {
+        store.fail(Some(unusable));
+        let refused = Gcm::resume(GcmConfig::default(), Box::new(store.clone())).await.err().unwrap();
+        assert!(matches!(refused, StartError::Store(_)), "{unusable:?}: {refused}");
+    }
+    store.fail(Some(Unusable::Now));
+    let gcm = gcm_with(&store).await;
+    Process::come(&gcm, "host").await;
+    ask(&gcm, vec![create("host/a")]).await.unwrap();
+    assert!(matches!(&*gcm.journal().borrow(), Standing::Behind { .. }));
+}
+
+#[tokio::test]
+async fn refused_requests_and_stops_are_on_record() {
+    let store = Kept::default();
+    let gcm = gcm_with(&store).await;
+    Process::come(&gcm, "host").await;
+    ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+    ask(&gcm, vec![create("host/a")]).await.unwrap_err();
+    ask(&gcm, vec![stop("host/**")]).await.unwrap();
+    gcm.flush().await;
+    let held = store.0.lock();
+    let told: Vec<_> =
+        held.all.iter().filter_map(|r| Some((r.asked.as_ref()?, r.answer.as_ref()?))).collect();
+    assert_eq!(told.len(), 3);
+    assert!(told[1].1.is_err() && told[1].0.text.contains("host/a"), "{told:?}");
+    assert!(told[2].1.is_ok() && told[2].0.text.contains(r#""stop""#), "{told:?}");
+}
+
+#[tokio::test]
+async fn the_gcm_is_gone_with_its_last_handle_although_it_has_a_store() {
+    let gcm = gcm_with(&Kept::default()).await;
+    let inner: Weak<_> = Arc::downgrade(&gcm.inner);
+    gcm.flush().await;
+    drop(gcm);
+    let mut watchdog = crate::watchdog::Watchdog::of("the GCM to go");
+    while inner.upgrade().is_some() {
+        watchdog.saw("it is there");
+        tokio::task::yield_now().await;
+    }
+}
+
+/// What of a graph outlives the GCM.
+fn desired(graph: &SystemGraph) -> Wanted {
+    let wanted = |component: &Component| WantedComponent {
+        class: component.class.clone(),
+        config: component.config.clone(),
+        execution: component.execution.clone(),
+        state: component.state,
+        grant: None,
+    };
+    Wanted {
+        revision: graph.revision,
+        components: graph.components.iter().map(|(id, c)| (id.clone(), wanted(c))).collect(),
+        connections: graph.connections.clone(),
+        ..Wanted::default()
+    }
+}
+
+#[tokio::test]
+async fn at_rest_what_is_wanted_is_what_the_graph_has_and_the_store_tells() {
+    let store = Kept::default();
+    let gcm = gcm_with(&store).await;
+    let host = Process::come(&gcm, "host").await;
+    let other = Process::come(&gcm, "other").await;
+    for (at, refuse) in
+        ["Start host/b", "Create host/b", "Connect host/b/input to host/a/value"].iter().enumerate()
+    {
+        host.lcm.refuse(refuse);
+        let all = vec![
+            create("host/a"),
+            create("host/b"),
+            connect("host/b/input", "host/a/value"),
+            start("host/*"),
+        ];
+        ask(&gcm, all).await.unwrap_err();
+        let name_of = format!("other/c{at}");
+        ask(&gcm, vec![create(&name_of), start(&name_of)]).await.unwrap();
+        ask(&gcm, vec![stop("other/*")]).await.unwrap();
+    }
+    let configure = Request::Configure { id: id("other/c0"), patch: json!({ "gain": 2.0 }), execution: None };
+    ask(&gcm, vec![configure, connect("other/c1/input", "other/c0/value")]).await.unwrap();
+    ask(&gcm, vec![Request::Remove { id: id("other/c2"), force: true }, start("other/c1")]).await.unwrap();
+    gcm.flush().await;
+    let live = gcm.inner.ledger.wanted().clone();
+    assert_eq!(store.wanted(), live);
+    let mut seen = desired(&gcm.graph());
+    seen.decision = live.decision;
+    seen.next_connection = live.next_connection;
+    seen.processes.clone_from(&live.processes);
+    for (id, component) in &mut seen.components {
+        component.grant = live.components.get(id).and_then(|wanted| wanted.grant);
+        assert_eq!(component.grant.is_some(), component.state == State::Active, "{id}");
+    }
+    assert_eq!(live, seen);
+    drop((host, other));
+}
