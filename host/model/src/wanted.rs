@@ -47,6 +47,8 @@ pub struct Grant {
     /// Start or Resume.
     pub verb: Verb,
     pub revision: u64,
+    /// A Stop that was decided earlier does not count against it.
+    pub decision: u64,
     /// Incarnation of its process.
     pub epoch: u64,
 }
@@ -104,14 +106,14 @@ impl Wanted {
             Entry::Changed { revision, decision, changes } => {
                 self.counts(*revision, *decision);
                 for change in changes {
-                    self.change(change, *revision);
+                    self.change(change, *revision, *decision);
                 }
             }
             Entry::Stopped { revision, decision, targets } => {
                 self.counts(*revision, *decision);
                 let named = |id: &ComponentId| targets.iter().any(|target| target.names(id));
                 for (_, component) in self.components.iter_mut().filter(|(id, _)| named(id)) {
-                    if component.grant.take().is_some() {
+                    if component.grant.take_if(|grant| grant.decision < *decision).is_some() {
                         component.state = State::Stopped(StopReason::Requested);
                     }
                 }
@@ -148,7 +150,7 @@ impl Wanted {
         self.decision = self.decision.max(decision);
     }
 
-    fn change(&mut self, change: &Change, revision: u64) {
+    fn change(&mut self, change: &Change, revision: u64, decision: u64) {
         match change {
             Change::Create { id, component } => {
                 self.components.insert(id.clone(), WantedComponent::from(&**component));
@@ -168,7 +170,7 @@ impl Wanted {
                 if let Some(component) = self.components.get_mut(id) {
                     component.state = *to;
                     let runs = *to == State::Active;
-                    component.grant = runs.then_some(Grant { verb: *verb, revision, epoch });
+                    component.grant = runs.then_some(Grant { verb: *verb, revision, decision, epoch });
                 }
             }
             Change::Connect { connection } => self.connect(connection),
