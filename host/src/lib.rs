@@ -9,6 +9,7 @@ pub mod control;
 pub mod doctor;
 pub mod gcm;
 pub mod host;
+pub mod journal;
 pub mod processes;
 pub mod runtime_dir;
 pub mod system_file;

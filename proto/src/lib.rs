@@ -1,4 +1,5 @@
-//! The `trocar.v1` gRPC API: messages, clients and servers generated from `proto/trocar/v1`.
+//! The `trocar.v1` gRPC API: messages, clients and servers generated from `proto/trocar/v1`; and the messages
+//! of the journal, from `proto/trocar/journal/v1`.
 //!
 //! Invariant: nothing here is written by hand but this page; `tests/generated.rs` fails when the committed
 //! code and the `.proto` files differ (`TROCAR_BLESS=1 cargo test -p trocar-proto` rewrites it).
@@ -9,6 +10,15 @@
 #[allow(clippy::all, unreachable_pub, missing_docs, rustdoc::all)]
 pub mod v1 {
     include!("gen/trocar.v1.rs");
+}
+
+/// Messages of package `trocar.journal.v1`: what lies in the journal of a GCM. No port speaks them.
+pub mod journal {
+    /// Records, snapshots and their parts.
+    #[allow(clippy::all, unreachable_pub, missing_docs, rustdoc::all)]
+    pub mod v1 {
+        include!("gen/trocar.journal.v1.rs");
+    }
 }
 
 /// Encoded `FileDescriptorSet` of `trocar.v1` and everything it imports, with comments: what reflection

@@ -5,7 +5,7 @@
 
 mod attach;
 mod caller;
-mod convert;
+pub(crate) mod convert;
 mod deadline;
 mod dial;
 mod doors;

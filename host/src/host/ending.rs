@@ -62,7 +62,8 @@ impl Ending {
     /// The machine gives no more threads.
     pub(super) fn prepare(state: Arc<StateDir>) -> Result<Ending, HostError> {
         let threads = |e: std::io::Error| HostError::Threads { because: e.to_string() };
-        let nothing = Running { lcm: None, gcm: None, uplink: None, server: None, watch: None, announced: None, state };
+        let nothing =
+            Running { lcm: None, gcm: None, uplink: None, server: None, watch: None, announced: None, state };
         let running = Arc::new(Mutex::new(nothing));
         let (order, ordered) = mpsc::channel();
         let (tell, ended) = watch::channel(false);

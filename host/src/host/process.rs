@@ -20,7 +20,8 @@ use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
-use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration};
+use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration, StartError};
+use crate::journal::RedbStore;
 use crate::lcm::{Decision, Lcm, LcmConfig, LocalLcm, LogLine, Order, Stop, keep_descriptors};
 use crate::runtime_dir::RuntimeDir;
 
@@ -315,9 +316,14 @@ fn offer_services(config: &HostConfig, lcm: &Arc<LocalLcm>, gcm: Option<&Gcm>) -
 
 async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {
     let dir = (!state.is_ephemeral()).then(|| state.path().to_owned());
-    Gcm::start(GcmConfig { state: dir, ..GcmConfig::default() })
-        .await
-        .map_err(|e| HostError::StateUnwritable { dir: state.path().to_owned(), because: e.to_string() })
+    let started = match dir {
+        Some(dir) => {
+            let store = Box::new(RedbStore::new(&dir));
+            Gcm::resume(GcmConfig { state: Some(dir), ..GcmConfig::default() }, store).await
+        }
+        None => Gcm::start(GcmConfig::default()).await.map_err(StartError::from),
+    };
+    started.map_err(|e| HostError::StateUnwritable { dir: state.path().to_owned(), because: e.to_string() })
 }
 
 /// Without its socket a process still works; only `stop --all` cannot find it when the GCM is gone.

@@ -16,7 +16,9 @@ use prost::Message;
 use sha2::{Digest, Sha256};
 
 const FILES: [&str; 6] = ["types", "gcm", "attach", "interact", "plugin", "guest"];
-const GENERATED: [&str; 2] = ["trocar.v1.rs", "trocar.v1.bin"];
+const JOURNAL: &str = "trocar/journal/v1/journal.proto";
+const JOURNAL_CODE: &str = "trocar.journal.v1.rs";
+const GENERATED: [&str; 3] = ["trocar.v1.rs", "trocar.v1.bin", JOURNAL_CODE];
 const SUMS: &str = "sha256";
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
@@ -34,7 +36,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
 
 /// Compares the committed files with what the `.proto` files give.
 fn check(root: &Path, committed: &Path) -> Result<ExitCode, Box<dyn Error>> {
-    let fresh = Scratch::new()?;
+    let fresh = Scratch::new("check")?;
     generate(root, &fresh.0)?;
     let differs = |name: &&str| fs::read(fresh.0.join(name)).ok() != fs::read(committed.join(name)).ok();
     let stale: Vec<&str> = GENERATED.iter().chain([&SUMS]).copied().filter(|name| differs(&name)).collect();
@@ -62,8 +64,10 @@ fn generate(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
         .emit_rerun_if_changed(false)
         .compile_fds(set.clone())?;
     fs::write(out.join("trocar.v1.bin"), set.encode_to_vec())?;
+    journal(root, out)?;
 
-    let sources = FILES.map(|file| (format!("trocar/v1/{file}.proto"), root.to_path_buf()));
+    let files = FILES.map(|file| format!("trocar/v1/{file}.proto"));
+    let sources = files.into_iter().chain([JOURNAL.to_owned()]).map(|file| (file, root.to_path_buf()));
     let results = GENERATED.map(|name| (name.to_owned(), out.to_path_buf()));
     let mut sums = String::new();
     for (name, folder) in sources.into_iter().chain(results) {
@@ -75,12 +79,29 @@ fn generate(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// Writes the code of the journal. It is no part of the descriptors: no port speaks it.
+fn journal(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
+    let mut compiler = protox::Compiler::new([root])?;
+    compiler.include_imports(true).include_source_info(true);
+    compiler.open_file(JOURNAL)?;
+    // Code of the files that it imports is made, too, and is there already.
+    let all = Scratch::new("journal")?;
+    tonic_prost_build::configure()
+        .build_client(false)
+        .build_server(false)
+        .out_dir(&all.0)
+        .emit_rerun_if_changed(false)
+        .compile_fds(compiler.file_descriptor_set())?;
+    fs::copy(all.0.join(JOURNAL_CODE), out.join(JOURNAL_CODE))?;
+    Ok(())
+}
+
 /// A directory that is removed with its owner.
 struct Scratch(PathBuf);
 
 impl Scratch {
-    fn new() -> std::io::Result<Self> {
-        let path = env::temp_dir().join(format!("trocar-generate-{}", std::process::id()));
+    fn new(of: &str) -> std::io::Result<Self> {
+        let path = env::temp_dir().join(format!("trocar-generate-{of}-{}", std::process::id()));
         fs::create_dir(&path)?;
         Ok(Self(path))
     }

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use serde_json::Value;
 use trocar_links::Card;
 use trocar_model::{
-    Change, Component, ComponentId, Connection, ConnectionId, Phase, PortId, Refusal, State, StepTimes, Verb,
-    Warnings,
+    Change, ClassInfo, Component, ComponentId, Connection, ConnectionId, Phase, PortId, Refusal, State,
+    StepTimes, Verb, Warnings,
 };
 use trocar_proto::v1;
 
@@ -21,12 +21,12 @@ use super::types::{class, execution_out, health, options_out, ports, state};
 use crate::gcm::Slice;
 use crate::lcm::{ClassOf, Inventory, RemoteEnd, Report};
 
-pub(super) fn state_out(s: State) -> v1::State {
+pub(crate) fn state_out(s: State) -> v1::State {
     let (state, stop_reason) = state(s);
     v1::State { state: state as i32, stop_reason: stop_reason as i32 }
 }
 
-pub(super) fn state_in(s: Option<v1::State>) -> Result<State, Refusal> {
+pub(crate) fn state_in(s: Option<v1::State>) -> Result<State, Refusal> {
     let s = s.ok_or_else(|| unreadable("state"))?;
     back::state(s.state, s.stop_reason)
 }
@@ -36,9 +36,14 @@ fn json(text: &str, what: &str) -> Result<Value, Refusal> {
 }
 
 fn component_out(id: &ComponentId, c: &Component) -> v1::DesiredComponent {
+    v1::DesiredComponent { class: Some(class(&c.class)), ..unclassed_out(id, c) }
+}
+
+/// A component without its class, which is large and may be said once for many.
+pub(crate) fn unclassed_out(id: &ComponentId, c: &Component) -> v1::DesiredComponent {
     v1::DesiredComponent {
         path: id.to_string(),
-        class: Some(class(&c.class)),
+        class: None,
         config_json: c.config.to_string(),
         execution: Some(execution_out(&c.execution)),
         ports: (*c.ports != c.class.ports).then(|| ports(&c.ports)),
@@ -48,14 +53,21 @@ fn component_out(id: &ComponentId, c: &Component) -> v1::DesiredComponent {
     }
 }
 
-fn component_in(c: v1::DesiredComponent) -> Result<(ComponentId, Component), Refusal> {
-    let class = back::class(c.class.ok_or_else(|| unreadable("class"))?)?;
+fn component_in(mut c: v1::DesiredComponent) -> Result<(ComponentId, Component), Refusal> {
+    let class = back::class(c.class.take().ok_or_else(|| unreadable("class"))?)?;
+    unclassed_in(c, Arc::new(class))
+}
+
+pub(crate) fn unclassed_in(
+    c: v1::DesiredComponent,
+    class: Arc<ClassInfo>,
+) -> Result<(ComponentId, Component), Refusal> {
     let ports = match c.ports {
         Some(ports) => back::ports(ports)?,
         None => class.ports.clone(),
     };
     let component = Component {
-        class: Arc::new(class),
+        class,
         config: json(&c.config_json, "config_json")?,
         execution: execution(c.execution.ok_or_else(|| unreadable("execution"))?)?,
         ports: Arc::new(ports),
@@ -66,7 +78,7 @@ fn component_in(c: v1::DesiredComponent) -> Result<(ComponentId, Component), Ref
     Ok((ComponentId::parse(&c.path)?, component))
 }
 
-fn connection_out(c: &Connection) -> v1::DesiredConnection {
+pub(crate) fn connection_out(c: &Connection) -> v1::DesiredConnection {
     v1::DesiredConnection {
         id: c.id.0,
         client: c.client.to_string(),
@@ -75,7 +87,7 @@ fn connection_out(c: &Connection) -> v1::DesiredConnection {
     }
 }
 
-fn connection_in(c: v1::DesiredConnection) -> Result<Connection, Refusal> {
+pub(crate) fn connection_in(c: v1::DesiredConnection) -> Result<Connection, Refusal> {
     Ok(Connection {
         id: ConnectionId(c.id),
         client: PortId::parse(&c.client)?,
@@ -93,12 +105,28 @@ const VERBS: [(Verb, v1::Verb); 6] = [
     (Verb::Remove, v1::Verb::Remove),
 ];
 
+pub(crate) fn verb_out(verb: Verb) -> i32 {
+    VERBS.iter().find(|(v, _)| *v == verb).map_or(0, |(_, w)| *w as i32)
+}
+
+pub(crate) fn verb_in(verb: i32) -> Result<Verb, Refusal> {
+    VERBS.iter().find(|(_, w)| *w as i32 == verb).map(|(v, _)| *v).ok_or_else(|| unreadable("verb"))
+}
+
 pub(crate) fn change_out(change: &Change) -> v1::Change {
+    change_out_with(change, component_out)
+}
+
+/// A change whose component, where it has one, is said by `component`.
+pub(crate) fn change_out_with(
+    change: &Change,
+    mut component: impl FnMut(&ComponentId, &Component) -> v1::DesiredComponent,
+) -> v1::Change {
     use v1::change::Change as C;
     let replaced = matches!(change, Change::Disconnect { replaced: true, .. });
     let change = match change {
-        Change::Create { id, component } => C::Create(component_out(id, component)),
-        Change::Destroy { id, component } => C::Destroy(component_out(id, component)),
+        Change::Create { id, component: made } => C::Create(component(id, made)),
+        Change::Destroy { id, component: was } => C::Destroy(component(id, was)),
         Change::Configure { id, from, to, from_state, to_state } => C::Configure(v1::ConfigureChange {
             path: id.to_string(),
             from_json: from.to_string(),
@@ -108,7 +136,7 @@ pub(crate) fn change_out(change: &Change) -> v1::Change {
         }),
         Change::Run { id, verb, from, to } => C::Run(v1::RunChange {
             path: id.to_string(),
-            verb: VERBS.iter().find(|(v, _)| v == verb).map_or(0, |(_, w)| *w as i32),
+            verb: verb_out(*verb),
             from: Some(state_out(*from)),
             to: Some(state_out(*to)),
         }),
@@ -119,11 +147,19 @@ pub(crate) fn change_out(change: &Change) -> v1::Change {
 }
 
 pub(crate) fn change_in(change: v1::Change) -> Result<Change, Refusal> {
+    change_in_with(change, component_in)
+}
+
+/// Undoes [`change_out_with`].
+pub(crate) fn change_in_with(
+    change: v1::Change,
+    component: impl FnOnce(v1::DesiredComponent) -> Result<(ComponentId, Component), Refusal>,
+) -> Result<Change, Refusal> {
     use v1::change::Change as C;
     let replaced = change.replaced;
     Ok(match change.change.ok_or_else(|| unreadable("change"))? {
-        C::Create(c) => component_in(c).map(|(id, c)| Change::Create { id, component: Box::new(c) })?,
-        C::Destroy(c) => component_in(c).map(|(id, c)| Change::Destroy { id, component: Box::new(c) })?,
+        C::Create(c) => component(c).map(|(id, c)| Change::Create { id, component: Box::new(c) })?,
+        C::Destroy(c) => component(c).map(|(id, c)| Change::Destroy { id, component: Box::new(c) })?,
         C::Configure(c) => Change::Configure {
             id: ComponentId::parse(&c.path)?,
             from: json(&c.from_json, "from_json")?,
@@ -133,7 +169,7 @@ pub(crate) fn change_in(change: v1::Change) -> Result<Change, Refusal> {
         },
         C::Run(r) => Change::Run {
             id: ComponentId::parse(&r.path)?,
-            verb: VERBS.iter().find(|(_, w)| *w as i32 == r.verb).ok_or_else(|| unreadable("verb"))?.0,
+            verb: verb_in(r.verb)?,
             from: state_in(r.from)?,
             to: state_in(r.to)?,
         },

@@ -1,0 +1,32 @@
+//! The journal of a GCM in one file: what was decided, by whom, and what became of it.
+//!
+//! Invariant: the file alone says what was decided: each record holds the hash of the one before it, and what
+//! cannot be read whole is refused as it is, never guessed.
+
+mod chain;
+mod codec;
+mod contents;
+mod copy;
+mod disk;
+mod fault;
+mod json;
+mod lines;
+mod opening;
+mod store;
+mod view;
+
+#[cfg(test)]
+mod tests;
+
+pub use chain::Hash;
+pub use contents::{Identity, Kept};
+pub use fault::Fault;
+pub use json::json;
+pub use lines::{lines, revision, time};
+pub use store::RedbStore;
+pub use view::{Verified, View};
+
+/// Name of the file in the directory of a journal.
+pub const FILE: &str = "journal.redb";
+/// Schema of the records and snapshots that this release writes, and the greatest it reads.
+pub const SCHEMA: u32 = 1;
