@@ -23,7 +23,7 @@ impl Gcm {
         let asking = async {
             match change {
                 Change::Connect { connection } if !connection.is_near() => {
-                    self.link(connection, deadline).await
+                    self.link_or_none(connection, deadline).await
                 }
                 Change::Disconnect { connection, replaced } if !connection.is_near() => {
                     self.unlink(connection, *replaced, deadline).await

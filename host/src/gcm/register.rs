@@ -47,17 +47,18 @@ impl Gcm {
             self.inner.sessions.lock().claim(&graph, &self.inner.ids, &who, lcm.clone(), asks, card)?
         };
         let Claimed { session, epoch, back } = claimed;
+        let is_on_record = self.inner.ledger.wanted().processes.contains_key(&who.process);
         if !is_guest {
             let incarnation = Incarnation { instance: who.instance, epoch };
             self.enter(Entry::Came { process: who.process.clone(), incarnation });
         }
-        let granted = self.granted(&who.process, epoch);
+        let granted = is_on_record.then(|| self.granted(&who.process, epoch));
         let mut taken = TakenIn::default();
         self.edit(|graph| {
             let mut sessions = self.inner.sessions.lock();
             // Its end was told, or it was replaced, while it was taken in.
             if sessions.holder(&who.process) == Some(session) {
-                taken = take_in(&mut sessions, graph, &who, &claimed, inventory, &granted);
+                taken = take_in(&mut sessions, graph, &who, &claimed, inventory, granted.as_ref());
             }
         });
         let word = if back { "is back" } else { "registered" };
@@ -143,20 +144,21 @@ struct TakenIn {
     gets_back: Option<Here>,
 }
 
-/// Enters a process with what it has and what it is to have.
+/// Enters a process with what it has and what it is to have. `granted`: those of its components that may run;
+/// `None`: there is no word of it.
 fn take_in(
     sessions: &mut Sessions,
     graph: &mut SystemGraph,
     who: &Registration,
     claimed: &Claimed,
     inventory: Inventory,
-    granted: &BTreeSet<ComponentId>,
+    granted: Option<&BTreeSet<ComponentId>>,
 ) -> TakenIn {
     let mut taken = TakenIn::default();
     let empty = who.slice.components.is_empty() && inventory.components.is_empty();
     let begins = !claimed.back && empty && graph.components.keys().any(|id| id.process == who.process);
     // What was decided counts, where it is known: a process is evidence of how it stands.
-    let is_known = claimed.back && who.revision <= graph.revision;
+    let is_known = claimed.back && granted.is_some() && who.revision <= graph.revision;
     graph.revision = graph.revision.max(who.revision);
     let is_there = |id: &ComponentId| inventory.components.iter().any(|report| report.id == *id);
     let lacks = is_known && graph.components.keys().any(|id| id.process == who.process && !is_there(id));
@@ -176,7 +178,7 @@ fn take_in(
         }
         taken.owed = sessions.wanted.owed(graph, &who.process);
         sessions.wanted.here(&who.process, &taken.owed);
-        if is_known {
+        if let Some(granted) = granted.filter(|_| is_known) {
             let runs = |report: &&Report| report.state == State::Active && !granted.contains(&report.id);
             let owed = |id: &ComponentId| taken.owed.iter().any(|(other, _)| other == id);
             let unasked: Vec<_> =

@@ -7,6 +7,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use tokio::sync::oneshot;
 use trocar_lcm_api::{ClassOf, RemoteEnd, Report};
 use trocar_links::Card;
 use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGraph, made_of};
@@ -17,6 +18,28 @@ use super::observed::Loose;
 use super::sessions::{Registration, Sessions};
 
 impl Gcm {
+    /// Has both halves made and linked. Neither stays when nobody waits for them any more: a process that stood
+    /// still may make its half later than that.
+    pub(super) async fn link_or_none(
+        &self,
+        connection: &Connection,
+        deadline: Instant,
+    ) -> Result<Report, Refusal> {
+        let (tell, told) = oneshot::channel();
+        let (gcm, connection) = (self.clone(), connection.clone());
+        tokio::spawn(async move {
+            let linked = gcm.link(&connection, deadline).await;
+            let Err(Ok(_)) = tell.send(linked) else { return };
+            log::warn!("connection {} was made too late: it is taken back", connection.id.0);
+            match gcm.unlink(&connection, false, Instant::now() + UNDO).await {
+                // A half that a process away still has is cut when it is back.
+                Ok(_) | Err(Refusal::ConnectionNotFound { .. } | Refusal::ProcessLost { .. }) => {}
+                Err(refusal) => log::error!("undoing connection {}: {refusal}", connection.id.0),
+            }
+        });
+        told.await.unwrap_or_else(|_| Err(Refusal::Internal { text: "linking broke off".into() }))
+    }
+
     /// Has both halves made and linked.
     pub(super) async fn link(&self, connection: &Connection, deadline: Instant) -> Result<Report, Refusal> {
         let graph = self.graph();

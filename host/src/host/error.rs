@@ -10,6 +10,7 @@ use trocar_loader::StoreError;
 use trocar_model::Refusal;
 
 use crate::control::{ServeError, UplinkError};
+use crate::gcm::{self, Unusable};
 
 /// Why a host does not start, or has to end.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +45,8 @@ pub enum HostError {
         because: String,
     },
     Store(StoreError),
+    /// The journal of the GCM cannot be gone on with.
+    Journal(gcm::StoreError),
     /// A plugin linked into the program cannot be used.
     Linked {
         because: String,
@@ -76,6 +79,11 @@ impl HostError {
             HostError::NoRuntime { .. } => "NO_RUNTIME",
             HostError::BadName { .. } => "BAD_NAME",
             HostError::Store(e) => e.reason(),
+            HostError::Journal(e) => match e.unusable {
+                Unusable::Newer => "JOURNAL_NEWER",
+                Unusable::InUse => "STATE_IN_USE",
+                Unusable::Damaged | Unusable::Now | Unusable::NotSynced => "JOURNAL_DAMAGED",
+            },
             HostError::Linked { .. } => "PLUGIN_LINKED",
             HostError::NoVetting { .. } => "NO_VETTING",
             HostError::Listen { .. } => "LISTEN",
@@ -93,6 +101,16 @@ impl HostError {
             HostError::StateUnwritable { .. } => {
                 "choose a directory you may write to: --state DIR (or set XDG_STATE_HOME)".into()
             }
+            HostError::Journal(e) => match e.unusable {
+                Unusable::Newer => {
+                    "use that release; or choose another directory with --state, or begin anew with --fresh, which keeps the old journal beside the new one".into()
+                }
+                Unusable::InUse => "end that process first, or choose another directory with --state".into(),
+                Unusable::Damaged | Unusable::Now | Unusable::NotSynced => format!(
+                    "`trocar journal verify --state {}` says what can be read; --fresh begins anew and keeps the old journal beside the new one",
+                    e.file.parent().unwrap_or(&e.file).display()
+                ),
+            },
             HostError::Threads { .. } => {
                 "raise the limit on processes (ulimit -u), or end other programs".into()
             }
@@ -136,6 +154,7 @@ impl fmt::Display for HostError {
             HostError::StateUnwritable { dir, because } => {
                 write!(f, "the state directory {} cannot be used: {because}", dir.display())
             }
+            HostError::Journal(e) => e.fmt(f),
             HostError::Threads { because } => write!(f, "the system gives no more threads: {because}"),
             HostError::Memory { mib, because } => {
                 write!(f, "the memory of the process cannot be limited to {mib} MiB: {because}")

@@ -323,7 +323,13 @@ async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {
         }
         None => Gcm::start(GcmConfig::default()).await.map_err(StartError::from),
     };
-    started.map_err(|e| HostError::StateUnwritable { dir: state.path().to_owned(), because: e.to_string() })
+    started.map_err(|e| match e {
+        StartError::Store(e) => HostError::Journal(e),
+        StartError::Threads(because) => HostError::Threads { because },
+        StartError::Ids(e) => {
+            HostError::StateUnwritable { dir: state.path().to_owned(), because: e.to_string() }
+        }
+    })
 }
 
 /// Without its socket a process still works; only `stop --all` cannot find it when the GCM is gone.

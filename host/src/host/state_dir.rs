@@ -18,9 +18,12 @@ use trocar_loader::Hash;
 use trocar_rt::os::{Unshared, unshared};
 
 use super::HostError;
+use crate::journal;
 use crate::runtime_dir::state_home;
 
 const LOCK: &str = "lock";
+/// The journal before the present one.
+const OLD_JOURNAL: &str = "journal.redb.old";
 /// A process has locked its directory this long after making it.
 const STARTING: Duration = Duration::from_secs(60);
 /// Beginning of the names of ephemeral directories.
@@ -133,14 +136,19 @@ impl StateDir {
     }
 
     /// Forgets everything but the counters that must never go back (`gcm.json`: term and epochs fence
-    /// old processes).
+    /// old processes), and puts the journal aside.
     fn clear(&self) -> Result<(), HostError> {
         let unwritable =
             |e: std::io::Error| HostError::StateUnwritable { dir: self.path.clone(), because: e.to_string() };
         for entry in fs::read_dir(&self.path).map_err(unwritable)? {
             let entry = entry.map_err(unwritable)?;
-            let kept = entry.file_name() == LOCK || entry.file_name() == "gcm.json";
-            if kept {
+            let name = entry.file_name();
+            if name == journal::FILE {
+                // It is the audit, too.
+                fs::rename(entry.path(), self.path.join(OLD_JOURNAL)).map_err(unwritable)?;
+                continue;
+            }
+            if name == LOCK || name == "gcm.json" || name == OLD_JOURNAL {
                 continue;
             }
             let gone = match entry.file_type().map_err(unwritable)?.is_dir() {

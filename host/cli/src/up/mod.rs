@@ -244,7 +244,8 @@ impl System {
         // The GCM must be there now: a process that is told to wait for it waits for ever.
         let listed = session.standing().await?;
         // Components that a killed system of these names left would be made anew in the new processes.
-        let left = leftovers(&listed, &names);
+        let own = matches!(self.gcm, Gcm::Own(_));
+        let left = leftovers(&listed, |process| own || names.contains(process));
         if !left.is_empty() {
             session.tell(&left).await?;
         }
@@ -372,7 +373,7 @@ impl System {
         }
         let mut failed = self.supervisor.end(&names).await;
         self.talking.drain(..).for_each(|task| task.abort());
-        if let (Some(session), Gcm::Of(_)) = (&self.session, &self.gcm) {
+        if let Some(session) = &self.session {
             let gone = telling::fates(&self.supervisor.statuses().borrow(), Some(Fate::Dismissed));
             if let Err(failure) = session.tell(&gone).await {
                 log::warn!("the GCM still lists the processes: {}", failure.message);
@@ -387,10 +388,10 @@ impl System {
     }
 }
 
-/// Returns the processes of these names that are listed and not there, to be reported as gone. A process that
-/// is there after all is protected by its number.
-fn leftovers(listed: &SystemView, names: &[String]) -> Vec<Told> {
-    let gone = listed.processes.iter().filter(|p| p.state != "ATTACHED" && names.contains(&p.name));
+/// Returns the processes of its own that are listed and not there, to be reported as gone. A process that is
+/// there after all is protected by its number.
+fn leftovers(listed: &SystemView, is_own: impl Fn(&String) -> bool) -> Vec<Told> {
+    let gone = listed.processes.iter().filter(|p| p.state != "ATTACHED" && is_own(&p.name));
     let told = gone.filter_map(|p| {
         let pid = if p.state == "RESTARTING" { 0 } else { p.pid };
         let process = Name::parse(&p.name).ok()?;

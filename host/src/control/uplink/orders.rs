@@ -1,14 +1,16 @@
 //! Orders of the GCM, carried out by the LCM of this process.
 //!
 //! Invariant: each order runs in its own task, so that none delays a Stop; every order is answered, if only
-//! with a refusal. A change that was not done before the session ended is taken back.
+//! with a refusal. What concerns one connection is done in the order in which it was ordered. A change that
+//! was not done before the session ended is taken back.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
-use tokio::sync::{OwnedRwLockReadGuard, RwLock, mpsc};
+use tokio::sync::oneshot::error::TryRecvError;
+use tokio::sync::{OwnedRwLockReadGuard, RwLock, mpsc, oneshot};
 use tokio::task::{AbortHandle, JoinSet};
 use trocar_model::{
     Change, ComponentId, MemberId, Plan, Refusal, State, StopReason, SystemGraph, Verb, inverse,
@@ -33,6 +35,8 @@ pub(super) struct Orders {
     local: Local,
     answers: mpsc::Sender<v1::Answer>,
     feeds: HashMap<u64, AbortHandle>,
+    /// The last order that concerns each connection; closed when that is done.
+    wires: HashMap<u64, oneshot::Receiver<()>>,
     /// Feeds end with the session.
     running: JoinSet<()>,
     lease: Lease,
@@ -55,7 +59,19 @@ impl Orders {
         lease: Lease,
     ) -> Orders {
         let local = Local { lcm, told, quiet };
-        Orders { local, answers, feeds: HashMap::new(), running: JoinSet::new(), lease }
+        Orders {
+            local,
+            answers,
+            feeds: HashMap::new(),
+            wires: HashMap::new(),
+            running: JoinSet::new(),
+            lease,
+        }
+    }
+
+    fn turn(&mut self, connection: u64) -> Turn {
+        let (done, last) = oneshot::channel();
+        Turn { before: self.wires.insert(connection, last), done }
     }
 
     /// Begins it; the answer follows.
@@ -63,6 +79,7 @@ impl Orders {
         // Feeds that ended by themselves.
         while self.running.try_join_next().is_some() {}
         self.feeds.retain(|_, feed| !feed.is_finished());
+        self.wires.retain(|_, last| last.try_recv() != Err(TryRecvError::Closed));
         let deadline = Instant::now() + Duration::from_nanos(order.deadline_ns).min(MOST);
         let (id, local, answers) = (order.id, self.local.clone(), self.answers.clone());
         let decision = match convert::decision_in(order.decision) {
@@ -83,14 +100,25 @@ impl Orders {
                     true => Some(local.quiet.clone().read_owned().await),
                     false => None,
                 };
+                let turn = match &change {
+                    Change::Connect { connection } | Change::Disconnect { connection, .. } => {
+                        Some(self.turn(connection.id.0))
+                    }
+                    _ => None,
+                };
                 tokio::spawn(async move {
+                    let _done = come(turn).await;
                     let answer = local.apply(change, by, busy).await;
                     give(&answers, id, answer.map(A::Report)).await;
                 });
             }
             Some(O::Link(end)) => {
+                let turn = end.connection.as_ref().map(|connection| self.turn(connection.id));
+                // Before the orders behind it take it, which wait for this one.
+                let busy = local.quiet.clone().read_owned().await;
                 _ = tokio::spawn(async move {
-                    give(&answers, id, local.link(end, by).await.map(A::Report)).await;
+                    let _done = come(turn).await;
+                    give(&answers, id, local.link(end, by, busy).await.map(A::Report)).await;
                 })
             }
             Some(O::Stop(stop)) => {
@@ -116,6 +144,22 @@ impl Orders {
             None => give(&answers, id, Err(unknown())).await,
         }
     }
+}
+
+/// A place behind the order before it that concerns the same connection.
+struct Turn {
+    before: Option<oneshot::Receiver<()>>,
+    done: oneshot::Sender<()>,
+}
+
+/// Waits for the order before; the next one waits until what this returns is dropped.
+async fn come(turn: Option<Turn>) -> Option<oneshot::Sender<()>> {
+    let Turn { before, done } = turn?;
+    if let Some(before) = before {
+        // Nothing is sent: it closes.
+        let _ = before.await;
+    }
+    Some(done)
 }
 
 fn unknown() -> Refusal {
@@ -150,10 +194,14 @@ impl Local {
     }
 
     /// Does the same as [`Local::apply`], for a connection to another process.
-    async fn link(&self, end: v1::LinkOrder, by: Order) -> Result<v1::ComponentReport, Refusal> {
+    async fn link(
+        &self,
+        end: v1::LinkOrder,
+        by: Order,
+        _busy: OwnedRwLockReadGuard<()>,
+    ) -> Result<v1::ComponentReport, Refusal> {
         let end = convert::remote_in(end)?;
         let change = Change::Connect { connection: end.connection.clone() };
-        let _busy = self.quiet.clone().read_owned().await;
         let report = self.lcm.link(end, by.deadline).await?;
         self.remember(change, &report);
         Ok(convert::report(&report))
