@@ -57,6 +57,7 @@ pub(super) fn system(answer: &v1::ListResponse) -> SystemView {
         processes: answer.processes.iter().map(process).collect(),
         components: answer.components.iter().map(component).collect(),
         connections: answer.connections.iter().map(connection).collect(),
+        warnings: answer.warnings.clone(),
     }
 }
 

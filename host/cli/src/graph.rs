@@ -159,6 +159,7 @@ mod tests {
                 server: "host/robot/arm".into(),
                 ..ConnectionView::default()
             }],
+            ..SystemView::default()
         }
     }
 

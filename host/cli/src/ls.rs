@@ -39,6 +39,7 @@ pub(super) async fn run(args: LsArgs, session: &Session) -> Done {
         false => Classes::LeftOut,
     };
     out::text(&render(&view, classes, style::stdout()));
+    view.warnings.iter().for_each(|warning| out::complain("warning", warning));
     Ok(Exit::Ok)
 }
 
@@ -223,7 +224,7 @@ mod tests {
                 plugin_version: "1.2.0-rc1".into(),
                 ..ComponentView::default()
             }],
-            connections: Vec::new(),
+            ..SystemView::default()
         };
         let text = render(&view, Classes::Listed, false);
         assert!(text.contains("FAULT: panicked at src/lib.rs:3"), "{text}");

@@ -13,6 +13,8 @@ pub(super) struct SystemView {
     pub(super) processes: Vec<ProcessView>,
     pub(super) components: Vec<ComponentView>,
     pub(super) connections: Vec<ConnectionView>,
+    /// Sentences about the system as a whole.
+    pub(super) warnings: Vec<String>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -14,6 +14,8 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinHandle;
 use tonic::service::Routes;
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
 use trocar_model::{Name, Refusal};
 use trocar_proto::FILE_DESCRIPTOR_SET;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
@@ -30,7 +32,7 @@ use super::occupant::{self, Occupant};
 use super::server::{Edge, FOLLOWED, Standing};
 use super::transport::{GRACE, transport};
 use super::web;
-use crate::gcm::{Gcm, Lines};
+use crate::gcm::{Gcm, Lines, Standing as Journal};
 use crate::lcm::{Lcm, News};
 use crate::runtime_dir::RuntimeDir;
 
@@ -250,6 +252,28 @@ fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>
     (lines, keeper)
 }
 
+/// Name of the journal in gRPC health.
+const JOURNAL: &str = "journal";
+
+/// Says over gRPC health whether what is decided is on record.
+async fn tell_journal(
+    reporter: HealthReporter,
+    mut standing: watch::Receiver<Journal>,
+    mut closing: watch::Receiver<()>,
+) {
+    loop {
+        let health = match *standing.borrow_and_update() {
+            Journal::Behind { .. } => ServingStatus::NotServing,
+            Journal::None | Journal::Written => ServingStatus::Serving,
+        };
+        reporter.set_service_status(JOURNAL, health).await;
+        tokio::select! {
+            changed = standing.changed() => if changed.is_err() { return },
+            _ = closing.changed() => return,
+        }
+    }
+}
+
 async fn routes(
     edge: Edge,
     gcm: Option<Gcm>,
@@ -261,8 +285,9 @@ async fn routes(
     reporter.set_serving::<InteractServiceServer<Edge>>().await;
     reporter.set_serving::<PluginServiceServer<Edge>>().await;
     reporter.set_serving::<GuestServiceServer<Edge>>().await;
-    if gcm.is_some() {
+    if let Some(gcm) = &gcm {
         reporter.set_serving::<AttachServiceServer<AttachEdge>>().await;
+        tokio::spawn(tell_journal(reporter, gcm.journal(), closing.clone()));
     }
     let reflection = || {
         tonic_reflection::server::Builder::configure()

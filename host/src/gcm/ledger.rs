@@ -39,6 +39,18 @@ pub(super) fn wall_ns() -> u64 {
     u64::try_from(wall.as_nanos()).unwrap_or(u64::MAX)
 }
 
+impl Standing {
+    /// Returns what those should know who change the system.
+    pub fn warning(&self) -> Option<String> {
+        match self {
+            Standing::None | Standing::Written => None,
+            Standing::Behind { why } => Some(format!(
+                "the journal is behind: {why}; what is decided is in memory alone until it can be written, and a GCM that is started again before would not know it"
+            )),
+        }
+    }
+}
+
 pub(super) struct Ledger {
     term: u64,
     held: Mutex<Held>,

@@ -2658,7 +2658,7 @@ pub struct ListResponse {
     /// The classes, when asked for.
     #[prost(message, repeated, tag = "6")]
     pub classes: ::prost::alloc::vec::Vec<ClassInfo>,
-    /// Processes that did not give their figures in time, and why.
+    /// Processes that did not give their figures in time, and why; and that the journal cannot be written.
     #[prost(string, repeated, tag = "7")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     /// Tag of the processes, components and connections above without their figures: equal where they are

@@ -49,7 +49,7 @@ impl Standing {
     /// Takes a fresh answer of List from that GCM.
     pub(super) fn of(term: u64, listed: SystemView) -> Standing {
         let mut standing = Standing::default();
-        let SystemView { revision, processes, components, connections } = listed;
+        let SystemView { revision, processes, components, connections, .. } = listed;
         let listed = ChangeView { revision, term, processes, components, connections, ..Default::default() };
         standing.take(listed);
         standing

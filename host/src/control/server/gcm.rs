@@ -43,7 +43,7 @@ macro_rules! mutate {
                 plan: plan_lines(&done.plan),
                 components: told(&done),
                 skipped: skipped(&done),
-                warnings: warnings(&done),
+                warnings: $self.warnings(&done),
                 $($($extra: Default::default(),)*)?
             },
             done,
@@ -80,7 +80,7 @@ pub(super) fn told(done: &Executed) -> Vec<v1::ComponentReport> {
 }
 
 /// Each sentence once, though every change of a component reports it anew.
-pub(super) fn warnings(done: &Executed) -> Vec<String> {
+fn warnings(done: &Executed) -> Vec<String> {
     let failed = done.failed.iter().map(|(id, refusal)| format!("{id}: {refusal}"));
     let mut seen = BTreeSet::new();
     let all = done.reports.iter().flat_map(|r| r.warnings.clone()).chain(failed).chain(done.left.clone());
@@ -98,6 +98,16 @@ pub(super) fn options(common: Common, until: Instant, identity: String) -> Execu
 }
 
 impl Edge {
+    /// Warnings of an answer.
+    pub(super) fn warnings(&self, done: &Executed) -> Vec<String> {
+        warnings(done).into_iter().chain(self.behind()).collect()
+    }
+
+    /// Tells when what is decided is not on record.
+    pub(super) fn behind(&self) -> Option<String> {
+        self.gcm.as_ref().and_then(|gcm| gcm.journal().borrow().warning())
+    }
+
     async fn execute(
         &self,
         requests: Vec<Asked>,
@@ -332,7 +342,8 @@ impl GcmService for Edge {
         let next_page_token = pages.cut(&mut part, &mut classes);
         let ids: Vec<ComponentId> = part.components.keys().cloned().collect();
         let shown: Vec<&Connection> = part.connections.values().collect();
-        let figures = if r.brief { Figures::default() } else { self.figures(&ids, &shown, until).await };
+        let mut figures = if r.brief { Figures::default() } else { self.figures(&ids, &shown, until).await };
+        figures.warnings.extend(self.behind());
         Ok(Response::new(v1::ListResponse {
             etag,
             next_page_token,

@@ -10,7 +10,7 @@ use tonic::{Request, Status};
 use trocar_model::{Name, Refusal};
 use trocar_proto::v1;
 
-use super::gcm::{options, skipped, told, warnings};
+use super::gcm::{options, skipped, told};
 use super::identity::identity;
 use super::{Edge, refuse};
 use crate::control::convert::Common;
@@ -46,7 +46,7 @@ impl Edge {
             plan: plan_lines(&done.plan),
             components: told(&done),
             skipped: skipped(&done),
-            warnings: warnings(&done),
+            warnings: self.warnings(&done),
         })
     }
 
