@@ -22,7 +22,10 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Begin", &["demo", "doctor", "help", "completions"]),
     ("Run a system", &["run", "up", "down", "host", "gcm", "restart", "forget"]),
     ("System files", &["check", "save", "apply", "diff", "schema"]),
-    ("See what there is and how it goes", &["ls", "describe", "graph", "top", "watch", "logs", "wait"]),
+    (
+        "See what there is and how it goes",
+        &["ls", "describe", "graph", "top", "watch", "logs", "journal", "wait"],
+    ),
     ("Build a graph", &["create", "configure", "connect", "disconnect", "rm"]),
     ("Start and stop", &["start", "stop", "resume", "reset"]),
     ("Commands and data", &["call", "echo", "hz"]),

@@ -29,6 +29,7 @@ mod graph;
 mod help;
 mod hosting;
 mod hz;
+mod journal;
 mod logging;
 mod logs;
 mod ls;
@@ -98,7 +99,7 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag but do not offer it, so that a subcommand that it might
 /// seem to matter to can refuse it in a clear sentence.
-const ASK_NO_GCM: [&str; 12] = [
+const ASK_NO_GCM: [&str; 13] = [
     "demo",
     "run",
     "gcm",
@@ -106,6 +107,7 @@ const ASK_NO_GCM: [&str; 12] = [
     "check",
     "info",
     "export",
+    "journal",
     "doctor",
     "help",
     "token",
@@ -162,6 +164,7 @@ enum Command {
     Wait(wait::WaitArgs),
     Watch(watch::WatchArgs),
     Logs(logs::LogsArgs),
+    Journal(journal::JournalArgs),
     Plugin(plugin::PluginArgs),
     Doctor(doctor::DoctorArgs),
     Help(help::HelpArgs),
@@ -230,6 +233,7 @@ fn dispatch(cli: Cli) -> Done {
         Command::Wait(args) => ask(wait::run(args, &session)),
         Command::Watch(args) => ask(watch::run(args, &session)),
         Command::Logs(args) => ask(logs::run(args, &session)),
+        Command::Journal(args) => journal::run(args, &session),
         Command::Plugin(args) => ask(plugin::run(args, &session)),
         Command::Doctor(args) => doctor::run(&args, &session),
         Command::Help(args) => help::run(&args, command()),

@@ -1,7 +1,7 @@
 //! Opens the file of a journal for writing, and makes a new one.
 //!
-//! Invariant: nobody else has the file from before it is read until it is closed, and it is written only after
-//! a copy of it was found good. A new file gets its name when it is whole.
+//! Invariant: nobody else has the file from before it is read until it is closed, and it is written only
+//! after a copy of it was found good. A new file gets its name when it is whole.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind};

@@ -1,7 +1,7 @@
 //! The store of a GCM in one file.
 //!
-//! Invariant: one append is one commit, so its records are there all or not at all; after an error the file is
-//! opened anew, and goes on only where it is the same journal with the same head.
+//! Invariant: one append is one commit, so its records are there all or not at all; after an error the file
+//! is opened anew, and goes on only where it is the same journal with the same head.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};

@@ -1,1 +1,31 @@
+//! The journal: what is written comes back, and what is damaged is refused.
 
+#![allow(clippy::unwrap_used)]
+
+mod damage;
+mod golden;
+mod kinds;
+mod storing;
+
+use std::path::Path;
+
+use trocar_model::Wanted;
+
+use super::RedbStore;
+use crate::gcm::{Loaded, Store};
+
+/// The fold of all that was loaded.
+fn fold(loaded: &Loaded) -> Wanted {
+    let mut wanted = loaded.snapshot.wanted.clone();
+    loaded.records.iter().for_each(|record| wanted.on(&record.entry));
+    wanted
+}
+
+fn loaded(dir: &Path) -> Loaded {
+    RedbStore::new(dir).load().unwrap()
+}
+
+/// All of a value that can be compared.
+fn said(value: &impl std::fmt::Debug) -> String {
+    format!("{value:#?}")
+}
