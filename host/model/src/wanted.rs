@@ -1,8 +1,8 @@
 //! The desired part of a system, apart from everything that is seen of it: a fold of what was decided.
 //!
-//! Invariant: the same entries in the same order give the same value, whatever was seen meanwhile. A component
-//! is wanted ACTIVE only by a grant, which names the incarnation of its process: another one moves nothing by
-//! itself.
+//! Invariant: the same entries in the same order give the same value, whatever was seen meanwhile. A
+//! component is wanted ACTIVE only by a grant, which names the incarnation of its process: another one moves
+//! nothing by itself.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
