@@ -1,11 +1,11 @@
-//! Destinations of log lines: stderr for people, a rotated file in the state directory for later.
+//! Destinations of log lines: stderr for people, rotated files in the state directory for later.
 //!
 //! Invariant: a full disk or a closed stderr never stops the program; the level that is recorded is never
-//! coarser than the one shown.
+//! coarser than the one shown. Components drive none of the process's own lines out, who asked for what among them.
 
 use std::collections::VecDeque;
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -17,11 +17,14 @@ use trocar_rt::os;
 use super::logs::clock;
 use super::out::{self, paragraph};
 use super::units::count;
+use trocar::journal::time;
 use trocar::lcm::LogLine;
 
 /// Size at which a file becomes the old one, bytes; two are kept.
 const ROTATE_BYTES: u64 = 4 << 20;
 const FILE: &str = "trocar.log";
+/// Lines of components, apart from the process's own.
+const COMPONENTS: &str = "components.log";
 
 /// Lines of the start that are kept for [`to_readers`].
 const EARLY: usize = 200;
@@ -30,6 +33,7 @@ static LOGGER: Logger = Logger {
     shown: Mutex::new(LevelFilter::Warn),
     kept: Mutex::new(None),
     file: Mutex::new(None),
+    components: Mutex::new(None),
     readers: Mutex::new(Readers::Early(Vec::new())),
 };
 
@@ -38,6 +42,7 @@ struct Logger {
     /// Destination of lines instead of stderr, while a screen is drawn there.
     kept: Mutex<Option<Kept>>,
     file: Mutex<Option<Rotating>>,
+    components: Mutex<Option<Rotating>>,
     readers: Mutex<Readers>,
 }
 
@@ -80,12 +85,15 @@ pub(super) fn install(shown: LevelFilter) {
     log::set_max_level(shown.max(LevelFilter::Info));
 }
 
-/// Also writes to `<dir>/trocar.log`; when that cannot be opened, says so and goes on.
+/// Also writes to `<dir>/trocar.log`, and what components say to `<dir>/components.log`; when one cannot be
+/// opened, says so and goes on.
 pub(super) fn to_file(dir: &Path) {
-    let path = dir.join(FILE);
-    match Rotating::open(path.clone()) {
-        Ok(file) => *LOGGER.file.lock() = Some(file),
-        Err(e) => log::warn!("no log file: {}: {e}", path.display()),
+    for (name, place) in [(FILE, &LOGGER.file), (COMPONENTS, &LOGGER.components)] {
+        let path = dir.join(name);
+        match Rotating::open(path.clone()) {
+            Ok(file) => *place.lock() = Some(file),
+            Err(e) => log::warn!("no log file: {}: {e}", path.display()),
+        }
     }
 }
 
@@ -185,15 +193,24 @@ impl Log for Logger {
         }
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         let said = record.args().to_string();
-        let line = format!("{}Z {:5} {}\n", clock(now), record.level(), paragraph(&said));
+        let text = format!("{:5} {}\n", record.level(), paragraph(&said));
+        // A file is read on another day.
+        let dated = format!("{} {text}", time(now));
         if record.level() <= *self.shown.lock() {
+            let shown = || format!("{}Z {text}", clock(now));
+            let mut stderr = os::standard_error();
             match self.kept.lock().as_mut() {
-                Some(kept) => kept.push(&line),
-                None => _ = os::standard_error().write_all(line.as_bytes()),
+                Some(kept) => kept.push(&shown()),
+                None if std::io::stderr().is_terminal() => _ = stderr.write_all(shown().as_bytes()),
+                None => _ = stderr.write_all(dated.as_bytes()),
             }
         }
-        if let Some(file) = self.file.lock().as_mut() {
-            let _ = file.write(&line);
+        let place = match record.target() {
+            "component" | "plugin" => &self.components,
+            _ => &self.file,
+        };
+        if let Some(file) = place.lock().as_mut() {
+            let _ = file.write(&dated);
         }
         // The LCM sends the log lines of components.
         if record.target() != "component" {

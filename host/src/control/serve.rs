@@ -29,7 +29,7 @@ use super::caller::{Access, PortRules, READERS, own_user};
 use super::doors::Doors;
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
-use super::server::{Edge, FOLLOWED, Standing};
+use super::server::{Commanded, Edge, FOLLOWED, Standing};
 use super::transport::{GRACE, transport};
 use super::web;
 use crate::gcm::{Gcm, Lines, Standing as Journal};
@@ -99,6 +99,7 @@ impl Server {
             lines,
             followed: Arc::new(Semaphore::new(FOLLOWED)),
             standing: Arc::new(Standing::default()),
+            commanded: Commanded::default(),
             closing: closing.clone(),
         };
         let access = Access {

@@ -8,9 +8,10 @@ use std::io;
 
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
-use trocar_model::{ConnectOptions, Execution, PortId, Refusal, Request, Target, Which};
+use trocar_model::{ConnectOptions, Entry, Execution, PortId, Refusal, Request, Target, Which};
 
-use super::answer::{Answer, ExecuteOptions};
+use super::Gcm;
+use super::answer::{Answer, ExecuteOptions, Executed};
 use super::journal::Asked;
 use super::requests::Hash;
 use crate::system_file::words::{spelled, spelled_options};
@@ -25,6 +26,17 @@ pub(super) fn write(asked: &Asked, answer: &Answer) {
         Err(refusal) => refused(refusal),
     };
     log::info!(target: "audit", "{} asked {}: {outcome}", asked.identity, asked.text);
+}
+
+impl Gcm {
+    /// Puts on record what somebody asked for that is no change of the system, and what became of it.
+    pub fn put_on_record(&self, identity: &str, text: String, outcome: Result<(), &Refusal>) {
+        let answer = outcome.map(|()| Executed::default()).map_err(Refusal::clone);
+        let said = outcome.map_or_else(refused, |()| "done".to_owned());
+        log::info!(target: "audit", "{identity} asked {text}: {said}");
+        let asked = Asked { identity: identity.to_owned(), text, ..Asked::default() };
+        self.inner.ledger.enter(|_| (Entry::Noted, Some((asked, answer))));
+    }
 }
 
 /// Returns a request as it is put on record.

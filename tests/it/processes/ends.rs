@@ -320,7 +320,8 @@ fn what_a_process_and_somebody_elses_gcm_lost_together_is_made_again() {
         let all = all.as_array().cloned().unwrap_or_default();
         all.iter().map(|c| format!("{} {}", c["path"], c["state"]).replace('"', "")).collect::<Vec<_>>()
     };
-    let wanted = ["left/s STOPPED{requested}", "right/c READY", "right/off READY", "right/s ACTIVE"];
+    let wanted =
+        ["left/s STOPPED{requested}", "right/c STOPPED{restarted}", "right/off READY", "right/s ACTIVE"];
     eventually("all is there again", || match states() {
         all if all == wanted => Ok(()),
         all => Err(format!("{all:?}")),

@@ -25,7 +25,7 @@ pub(crate) use change::{
 };
 pub(crate) use graph::report;
 pub(super) use graph::{Figures, component, connection, list, process, supervisor, told, wanted};
-pub(super) use json::duration_ns;
+pub(super) use json::{duration_ns, from_value};
 pub(crate) use refusal::{refusal, refusal_info};
 pub(crate) use requests::execution;
 pub(super) use requests::{

@@ -36,7 +36,9 @@ macro_rules! mutate {
             expected_revision: r.expected_revision,
         };
         let asked: Result<Vec<Asked>, Refusal> = $convert(r);
-        let done = $self.execute(asked.map_err(refuse)?, common, until, identity).await?;
+        let verb = stringify!($response).trim_end_matches("Response").to_lowercase();
+        let asked = asked.map_err(|refusal| $self.not_read(&identity, &verb, refusal))?;
+        let done = $self.execute(asked, common, until, identity).await?;
         (
             v1::$response {
                 revision: done.revision,
@@ -406,6 +408,7 @@ impl GcmService for Edge {
         if let Some(call) = &request.get_ref().call {
             self.may_call(request.extensions(), &call.path).map_err(refuse)?;
         }
+        let who = identity(&request);
         let Wait { what, until } = Wait::read(request).map_err(refuse)?;
         let _held = self.standing.waits.take()?;
         let (id, item) = match what {
@@ -414,7 +417,7 @@ impl GcmService for Edge {
                 (id, None)
             }
             Awaited::Event(member, call) => {
-                let item = self.event(&member, call, until).await?;
+                let item = self.event(&member, call.map(|call| (who, call)), until).await?;
                 (member.port.component, Some(convert::item(item)))
             }
         };

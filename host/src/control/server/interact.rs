@@ -12,6 +12,7 @@ use trocar_model::{MemberId, Name, Refusal};
 use trocar_proto::v1;
 use trocar_proto::v1::interact_service_server::InteractService;
 
+use super::identity::identity;
 use super::logs::{self, Wanted};
 use super::{Edge, not_built, refuse};
 use crate::control::convert;
@@ -41,23 +42,21 @@ impl Edge {
         &self,
         r: v1::InvokeRequest,
         until: Instant,
-    ) -> Result<v1::InvokeResponse, Status> {
-        let member = MemberId::parse(&r.path).map_err(refuse)?;
+    ) -> Result<v1::InvokeResponse, Refusal> {
+        let member = MemberId::parse(&r.path)?;
         let room = room(until);
         let left = until.saturating_duration_since(Instant::now()).saturating_sub(room);
         let left = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
         let asked = r.deadline.as_ref().map(|d| {
-            convert::duration_ns(d).ok_or_else(|| {
-                refuse(Refusal::ArgumentInvalid {
-                    what: "deadline".into(),
-                    why: "it must not be negative".into(),
-                    field: "deadline".into(),
-                })
+            convert::duration_ns(d).ok_or_else(|| Refusal::ArgumentInvalid {
+                what: "deadline".into(),
+                why: "it must not be negative".into(),
+                field: "deadline".into(),
             })
         });
         let deadline_ns = asked.transpose()?.unwrap_or(1_000_000_000).clamp(1, left.max(1));
         let arg = convert::payload(r.json, r.encoded);
-        let lcm = self.lcm(&member.port.component.process).map_err(refuse)?;
+        let lcm = self.lcm(&member.port.component.process)?;
         let call = Invoke { member: member.clone(), arg, send: r.send, deadline_ns };
         // The LCM keeps the deadline itself; this time is for an LCM that does not answer at all.
         let patience = Duration::from_nanos(deadline_ns) + room * 3 / 4;
@@ -72,7 +71,7 @@ impl Edge {
                 if let Some(gcm) = &self.gcm {
                     gcm.hear_out(&process).await;
                 }
-                Err(refuse(refusal))
+                Err(refusal)
             }
         }
     }
@@ -86,7 +85,8 @@ impl InteractService for Edge {
     ) -> Result<Response<v1::InvokeResponse>, Status> {
         let until = deadline(&request);
         self.may_call(request.extensions(), &request.get_ref().path).map_err(refuse)?;
-        Ok(Response::new(self.call(request.into_inner(), until).await?))
+        let who = identity(&request);
+        Ok(Response::new(self.invoked(who, request.into_inner(), until).await.map_err(refuse)?))
     }
 
     async fn read(&self, request: Request<v1::ReadRequest>) -> Result<Response<v1::ReadResponse>, Status> {

@@ -1,5 +1,6 @@
 //! The services' methods: take a request apart, ask the GCM or an LCM, put the answer together.
 
+mod commanded;
 mod gcm;
 mod guest;
 mod identity;
@@ -15,6 +16,7 @@ mod system;
 mod wait;
 mod watch;
 
+pub(super) use commanded::Commanded;
 pub(super) use interact::FOLLOWED;
 #[cfg(test)]
 pub(super) use standing::STANDING;
@@ -56,6 +58,8 @@ pub(super) struct Edge {
     pub(super) followed: Arc<Semaphore>,
     /// Places for calls that stay open here.
     pub(super) standing: Arc<Standing>,
+    /// Commands of actuators that were asked of late.
+    pub(super) commanded: Commanded,
     /// Closes when this port closes: calls that wait for something end then.
     pub(super) closing: Receiver<()>,
 }
@@ -67,6 +71,14 @@ impl Edge {
             let at = self.managed_by.clone().unwrap_or_default();
             status(&Refusal::ManagedElsewhere { at })
         })
+    }
+
+    /// Puts on record that a request cannot be read, and returns the answer to it.
+    fn not_read(&self, who: &str, verb: &str, refusal: Refusal) -> Status {
+        if let Some(gcm) = &self.gcm {
+            gcm.put_on_record(who, format!("{{\"{verb}\":\"cannot be read\"}}"), Err(&refusal));
+        }
+        refuse(refusal)
     }
 
     /// The LCM of a process: any process for a GCM, this one otherwise.

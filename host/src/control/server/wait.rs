@@ -72,16 +72,16 @@ impl Wait {
 }
 
 impl Edge {
-    /// The event, or why it cannot be had.
+    /// The event, or why it cannot be had. `call`: a command to be called first, and its caller.
     pub(super) async fn event(
         &self,
         member: &MemberId,
-        call: Option<v1::InvokeRequest>,
+        call: Option<(String, v1::InvokeRequest)>,
         until: Instant,
     ) -> Result<Item, Status> {
         let listening = self.gcm()?.listen(member, until).await.map_err(refuse)?;
-        if let Some(call) = call {
-            self.call(call, until).await?;
+        if let Some((who, call)) = call {
+            self.invoked(who, call, until).await.map_err(refuse)?;
         }
         listening.event().await.map_err(refuse)
     }

@@ -22,7 +22,7 @@ use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 use self::dynamic::Rpc;
 use super::attach::MAX_MESSAGE;
 use super::caller::{Tokened, with_token};
-use super::server::{Caller, Edge, FOLLOWED, Standing};
+use super::server::{Caller, Commanded, Edge, FOLLOWED, Standing};
 use super::status::{code_name, status};
 use crate::gcm::Gcm;
 use crate::lcm::{ReplyTo, Services};
@@ -57,7 +57,16 @@ impl GcmServices {
         let (open, closing) = watch::channel(());
         let followed = Arc::new(Semaphore::new(FOLLOWED));
         let standing = Arc::new(Standing::default());
-        let edge = Edge { gcm: Some(gcm), local: None, managed_by: None, lines, followed, standing, closing };
+        let edge = Edge {
+            gcm: Some(gcm),
+            local: None,
+            managed_by: None,
+            lines,
+            followed,
+            standing,
+            commanded: Commanded::default(),
+            closing,
+        };
         GcmServices { runtime: Handle::current(), way: Way::Here(edge), _open: open }
     }
 
