@@ -18,6 +18,8 @@ use crate::{
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     pub revision: u64,
+    /// The last incarnation of the GCM.
+    pub term: u64,
     /// Number the next connection gets.
     pub next_connection: u64,
     /// Number of the last decision, a Stop or another one.
@@ -80,8 +82,10 @@ pub enum Entry {
         components: Vec<(ComponentId, WantedComponent)>,
         connections: Vec<Connection>,
     },
-    /// A process was taken down, or forgotten, with all that it had.
-    Gone { revision: u64, process: Name },
+    /// An incarnation of a process was taken down, or forgotten, with all that it had; 0: whichever there was.
+    Gone { revision: u64, process: Name, epoch: u64 },
+    /// A component failed: it runs no more until somebody resets it.
+    Failed { component: ComponentId },
     /// Nothing changed: a request was refused, or a GCM began.
     Noted,
 }
@@ -90,6 +94,7 @@ impl Default for Wanted {
     fn default() -> Self {
         Wanted {
             revision: 0,
+            term: 0,
             next_connection: 1,
             decision: 0,
             components: BTreeMap::new(),
@@ -113,7 +118,8 @@ impl Wanted {
                 self.counts(*revision, *decision);
                 let named = |id: &ComponentId| targets.iter().any(|target| target.names(id));
                 for (_, component) in self.components.iter_mut().filter(|(id, _)| named(id)) {
-                    if component.grant.take_if(|grant| grant.decision < *decision).is_some() {
+                    let ran = component.grant.take_if(|grant| grant.decision < *decision).is_some();
+                    if ran || component.state == State::Stopped(StopReason::Restarted) {
                         component.state = State::Stopped(StopReason::Requested);
                     }
                 }
@@ -135,11 +141,21 @@ impl Wanted {
                     self.connect(connection);
                 }
             }
-            Entry::Gone { revision, process } => {
+            Entry::Gone { revision, process, epoch } => {
                 self.counts(*revision, 0);
+                let now = self.processes.get(process).map_or(0, |process| process.epoch);
+                // Another one has come meanwhile.
+                if *epoch != 0 && now > *epoch {
+                    return;
+                }
                 self.components.retain(|id, _| id.process != *process);
                 self.connections.retain(|_, connection| !connection.ends_in(process));
                 self.processes.remove(process);
+            }
+            Entry::Failed { component } => {
+                if let Some(component) = self.components.get_mut(component) {
+                    (component.state, component.grant) = (State::Fault, None);
+                }
             }
             Entry::Noted => {}
         }
