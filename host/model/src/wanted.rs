@@ -90,6 +90,20 @@ pub enum Entry {
     Noted,
 }
 
+impl Entry {
+    /// Returns the revision that it leads to; `None`: it leads to none.
+    pub fn revision(&self) -> Option<u64> {
+        match self {
+            Entry::Changed { revision, .. }
+            | Entry::Stopped { revision, .. }
+            | Entry::Cut { revision, .. }
+            | Entry::Brought { revision, .. }
+            | Entry::Gone { revision, .. } => Some(*revision),
+            Entry::Came { .. } | Entry::Failed { .. } | Entry::Noted => None,
+        }
+    }
+}
+
 impl Default for Wanted {
     fn default() -> Self {
         Wanted {

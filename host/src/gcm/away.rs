@@ -10,7 +10,7 @@ use trocar_model::{Change, Name, Plan, Process, ProcessState, Refusal, Request, 
 
 use super::Gcm;
 use super::fate::dismiss;
-use super::observed::Loose;
+use super::observed::After;
 use super::remote::awaited;
 use super::sessions::Sessions;
 
@@ -82,7 +82,7 @@ impl Gcm {
                 if let Change::Disconnect { connection, .. } = change
                     && !connection.is_near()
                 {
-                    cut.push(Loose::cut(connection.clone()));
+                    cut.push(After::cut(connection.clone()));
                 }
                 Arc::make_mut(graph).carry_out(change);
             }
@@ -103,7 +103,7 @@ impl Gcm {
             }
         }
         for process in &forgotten {
-            self.left(process);
+            self.left(process, 0);
         }
         self.not_wanted(&forgotten.into_iter().cloned().collect());
         // Their other halves.

@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use trocar_lcm_api::{Decision, Order, Report};
 use trocar_model::{
-    Change, ComponentId, Health, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph, Verb,
-    allowed, inverse,
+    Change, ComponentId, Entry, Health, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph,
+    Target, Verb, allowed, inverse,
 };
 
 use super::answer::Executed;
@@ -66,6 +66,7 @@ impl<'a> Carrying<'a> {
         for change in undo.changes {
             if self.sets_actuator_in_motion(&change) {
                 log::warn!("{} stays stopped: what is taken back sets no actuator in motion", id_of(&change));
+                self.gcm.stays_stopped(id_of(&change), self.claim.decision());
                 continue;
             }
             match self.one(&change, Instant::now() + UNDO).await {
@@ -74,7 +75,10 @@ impl<'a> Carrying<'a> {
                 Err(Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. }) => {
                     self.gcm.taken_back(&change);
                 }
-                Err(refusal) => log::error!("undoing it ({}): {refusal}", text::line(&change)),
+                Err(refusal) => {
+                    log::error!("undoing it ({}): {refusal}", text::line(&change));
+                    self.gcm.not_taken_back(&change, self.claim.decision());
+                }
             }
         }
     }
@@ -188,6 +192,52 @@ impl Gcm {
             let known = graph.components.get(id_of(undo)).cloned();
             graph.carry_out(undo);
             stand_by(graph, id_of(undo), known);
+        });
+    }
+
+    /// Puts on record what could not be taken back: it is there, and is wanted from now on.
+    fn not_taken_back(&self, undo: &Change, decision: Decision) {
+        let decision = decision.0;
+        self.inner.ledger.enter(|_| {
+            let graph = self.graph();
+            let revision = graph.revision;
+            let there = graph.components.get(id_of(undo));
+            let entry = match (undo, there) {
+                (Change::Destroy { id, .. }, Some(there)) => {
+                    let component = Box::new(there.clone());
+                    let changes = vec![Change::Create { id: id.clone(), component }];
+                    Entry::Changed { revision, decision, changes }
+                }
+                (Change::Configure { id, from_state, to_state, .. }, Some(there)) => {
+                    let config = there.config.clone();
+                    let (id, from, to) = (id.clone(), config.clone(), config);
+                    let (from_state, to_state) = (*from_state, *to_state);
+                    let change = Change::Configure { id, from, to, from_state, to_state };
+                    Entry::Changed { revision, decision, changes: vec![change] }
+                }
+                (Change::Create { id, component }, None) => {
+                    let gone = Change::Destroy { id: id.clone(), component: component.clone() };
+                    Entry::Changed { revision, decision, changes: vec![gone] }
+                }
+                (Change::Connect { connection }, _) => {
+                    Entry::Cut { revision, connections: vec![connection.id] }
+                }
+                (Change::Disconnect { connection, .. }, _) => {
+                    let connection = connection.clone();
+                    Entry::Changed { revision, decision, changes: vec![Change::Connect { connection }] }
+                }
+                _ => Entry::Noted,
+            };
+            (entry, None)
+        });
+    }
+
+    /// Puts on record that an actuator stands still that a refused request had stopped.
+    fn stays_stopped(&self, id: &ComponentId, decision: Decision) {
+        let targets = vec![Target::One(id.clone())];
+        self.inner.ledger.enter(|_| {
+            let revision = self.graph().revision;
+            (Entry::Stopped { revision, decision: decision.0, targets }, None)
         });
     }
 

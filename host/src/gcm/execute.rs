@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use trocar_lcm_api::Decision;
 use trocar_model::{
-    Change, ComponentId, Entry, Name, Plan, Refusal, Request, Safety, State, SystemGraph, Verb, brief,
-    plan_all,
+    Change, ComponentId, Entry, Name, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph, Verb,
+    brief, plan_all,
 };
 
 use super::answer::{Answer, ExecuteOptions, Executed};
@@ -89,7 +89,18 @@ impl Gcm {
             }
             return answer;
         }
-        let (answer, record) = match self.change(requests, options, asked, (since, deadline)).await {
+        let changed = self.change(requests, options, asked, (since, deadline)).await;
+        self.put_down(options, asked, changed).await
+    }
+
+    /// Puts on record what became of a request, and waits for that where it has changed something.
+    pub(super) async fn put_down(
+        &self,
+        options: &ExecuteOptions,
+        asked: &Asked,
+        changed: Result<(Executed, Option<u64>), Refusal>,
+    ) -> Answer {
+        let (answer, record) = match changed {
             Ok((done, record)) => (Ok(done), record),
             Err(refusal) => (Err(refusal), None),
         };
@@ -108,7 +119,7 @@ impl Gcm {
         answer
     }
 
-    async fn change(
+    pub(super) async fn change(
         &self,
         requests: &[Request],
         options: &ExecuteOptions,
@@ -176,19 +187,35 @@ impl Gcm {
     /// Decides a request whose changes are done: it gets its revision, and is on record. Returns the number of
     /// the record.
     pub(super) fn done(&self, done: &mut Executed, since: Decision, asked: &Asked) -> u64 {
-        let changes = self.on_record(&done.plan.changes);
         self.decide(|revision| {
             done.revision = revision;
+            let changes = self.on_record(&done.plan.changes, since);
             let entry = Entry::Changed { revision, decision: since.0, changes };
             (entry, Some((asked.clone(), Ok(done.clone()))))
         })
     }
 
-    /// Returns the changes that outlive this GCM: guests and their connections do not.
-    fn on_record(&self, changes: &[Change]) -> Vec<Change> {
+    /// Returns the changes that outlive this GCM. Guests and their connections do not; nor does what has gone
+    /// since, with its process or its port. What a Stop named since that decision stands still.
+    pub(super) fn on_record(&self, changes: &[Change], since: Decision) -> Vec<Change> {
         let graph = self.graph();
         let is_guests = |process: &Name| graph.processes.get(process).is_some_and(|p| !p.guest.is_empty());
-        changes.iter().filter(|change| !is_guests(&id_of(change).process)).cloned().collect()
+        let is_there = |change: &&Change| match change {
+            Change::Create { id, .. } => graph.components.contains_key(id),
+            Change::Connect { connection } => graph.connections.contains_key(&connection.id),
+            _ => true,
+        };
+        let lasting = changes.iter().filter(|change| !is_guests(&id_of(change).process)).filter(is_there);
+        let as_stands = |change: &Change| match change {
+            Change::Run { id, from, to: State::Active, .. }
+                if self.inner.claims.is_stopped_since(id, since) =>
+            {
+                let to = State::Stopped(StopReason::Requested);
+                Change::Run { id: id.clone(), verb: Verb::Stop, from: *from, to }
+            }
+            other => other.clone(),
+        };
+        lasting.map(as_stands).collect()
     }
 
     /// Does the plan in `done`, then the requests that had to wait for ports: all, or nothing.

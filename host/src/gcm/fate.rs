@@ -9,7 +9,7 @@ use trocar_model::{Entry, Name, Process, ProcessState, SystemGraph, Warnings};
 
 use super::Gcm;
 use super::heard::said_lost;
-use super::observed::Loose;
+use super::observed::After;
 use super::remote::awaited;
 
 /// State of a process, as its supervisor tells it.
@@ -42,7 +42,8 @@ impl Gcm {
     /// Enters what a supervisor tells. A process that the supervisor has seen end is lost at once, whatever
     /// its stream still pretends.
     pub fn told(&self, told: &Told) {
-        let (mut cut, mut strays, mut lost, mut dismissed) = (Vec::<Loose>::new(), Vec::new(), None, false);
+        let (mut cut, mut strays, mut lost) = (Vec::<After>::new(), Vec::new(), None);
+        let (mut dismissed, mut epoch) = (false, 0);
         self.edit_if(|graph| {
             let mut sessions = self.inner.sessions.lock();
             // Another incarnation or a foreign process is here; or the process was taken down after this was
@@ -59,6 +60,7 @@ impl Gcm {
             }
             if told.fate == Fate::Dismissed {
                 dismissed = true;
+                epoch = graph.processes.get(&told.process).map_or(0, |process| process.epoch);
                 sessions.dismiss(&told.process, told.pid);
                 strays = awaited(&mut sessions, &told.process);
                 return dismiss(graph, &told.process, &mut cut);
@@ -87,7 +89,7 @@ impl Gcm {
         });
         said_lost(&told.process, lost);
         if dismissed {
-            self.left(&told.process);
+            self.left(&told.process, epoch);
             self.not_wanted(&[told.process.clone()].into());
         }
         // Their other halves.
@@ -112,13 +114,15 @@ fn never_seen(pid: u32) -> Process {
 }
 
 impl Gcm {
-    /// Puts on record that a process was taken out of the system, with all it had.
-    pub(crate) fn left(&self, process: &Name) {
-        self.enter(Entry::Gone { revision: self.graph().revision, process: process.clone() });
+    /// Puts on record that an incarnation of a process was taken out of the system, with all it had; 0:
+    /// whichever there was.
+    pub(crate) fn left(&self, process: &Name, epoch: u64) {
+        let process = process.clone();
+        self.inner.ledger.enter(|_| (Entry::Gone { revision: self.graph().revision, process, epoch }, None));
     }
 }
 
-pub(super) fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<Loose>) -> bool {
+pub(super) fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Vec<After>) -> bool {
     if !graph.processes.contains_key(process) {
         return false;
     }
@@ -126,7 +130,7 @@ pub(super) fn dismiss(graph: &mut Arc<SystemGraph>, process: &Name, cut: &mut Ve
     graph.processes.remove(process);
     let before = graph.components.len();
     let halves = graph.connections.values().filter(|c| !c.is_near() && c.ends_in(process)).cloned();
-    cut.extend(halves.map(Loose::cut));
+    cut.extend(halves.map(After::cut));
     graph.connections.retain(|_, c| !c.ends_in(process));
     graph.components.retain(|id, _| id.process != *process);
     if graph.components.len() != before {

@@ -13,7 +13,7 @@ use trocar_model::{ConnectionId, Name, SystemGraph};
 
 use super::Gcm;
 use super::manager::Inner;
-use super::observed::{Loose, observe, stand_by};
+use super::observed::{After, observe, stand_by};
 
 /// Follows the news of a session until it ends, and answers each question in `asked` when all present news
 /// has been entered.
@@ -67,7 +67,7 @@ impl Gcm {
         process: &Name,
         first: Option<News>,
         news: &mut Receiver<News>,
-        loose: &mut Vec<Loose>,
+        loose: &mut Vec<After>,
     ) -> bool {
         let mut lagged = false;
         self.edit_if(|graph| {
@@ -86,7 +86,7 @@ impl Gcm {
     }
 
     /// Asks the LCM for all it has, after some of its news was lost.
-    async fn enter_inventory(&self, process: &Name, lcm: &dyn Lcm, loose: &mut Vec<Loose>) {
+    async fn enter_inventory(&self, process: &Name, lcm: &dyn Lcm, loose: &mut Vec<After>) {
         let Inventory { components, classes, halves, warnings, stopped_here, .. } =
             match lcm.inventory().await {
                 Ok(inventory) => inventory,
@@ -127,7 +127,7 @@ fn enter(
     graph: &mut Arc<SystemGraph>,
     process: &Name,
     news: News,
-    loose: &mut Vec<Loose>,
+    loose: &mut Vec<After>,
 ) -> bool {
     match news {
         News::State(report) => {

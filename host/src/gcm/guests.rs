@@ -174,6 +174,8 @@ impl Gcm {
             left
         });
         if left {
+            // It made no record, but a revision.
+            self.left(process, 0);
             log::info!("guest {process} has left");
         }
     }

@@ -14,26 +14,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
-/// The file could not be read or written.
-#[derive(Debug)]
-pub struct IdsError {
-    file: PathBuf,
-    error: io::Error,
-}
-
-impl fmt::Display for IdsError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{} cannot be used: {}; choose another folder with --state, or make this one writable",
-            self.file.display(),
-            self.error
-        )
-    }
-}
-
-impl std::error::Error for IdsError {}
-
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]
 struct Kept {
     term: u64,
@@ -57,38 +37,21 @@ pub(super) struct Ids {
 
 impl Ids {
     /// Begins a new term.
-    pub(super) fn open(state: Option<&Path>) -> Result<Ids, IdsError> {
+    pub(super) fn open(state: Option<&Path>) -> Ids {
         let file = state.map(|s| s.join("gcm.json"));
-        let mut kept = Kept::default();
-        if let Some(file) = &file {
-            kept = match fs::read(file) {
-                Ok(text) => serde_json::from_slice(&text).unwrap_or_else(|error| {
-                    let kept = Kept::by_time();
-                    let (file, term) = (file.display(), kept.term);
-                    log::warn!("{file} is damaged ({error}), perhaps the disk was full: the count goes on from {term}");
-                    kept
-                }),
-                Err(e) if e.kind() == io::ErrorKind::NotFound => Kept::default(),
-                Err(error) => return Err(IdsError { file: file.clone(), error }),
-            };
-        }
-        kept.term += 1;
+        let kept = file.as_deref().map_or_else(Kept::default, read);
         let ids = Ids { file, kept: Mutex::new(kept) };
-        ids.write(kept)?;
-        Ok(ids)
+        ids.count(|kept| kept.term += 1);
+        ids
     }
 
     pub(super) fn term(&self) -> u64 {
         self.kept.lock().term
     }
 
-    /// A number no process had before; on the disk before it is given out.
-    pub(super) fn next_epoch(&self) -> Result<u64, IdsError> {
-        let mut kept = self.kept.lock();
-        let next = Kept { next_epoch: kept.next_epoch + 1, ..*kept };
-        self.write(next)?;
-        *kept = next;
-        Ok(next.next_epoch)
+    /// Returns a number no process had before; on the disk before it is given out, where that can be written.
+    pub(super) fn next_epoch(&self) -> u64 {
+        self.count(|kept| kept.next_epoch += 1).next_epoch
     }
 
     /// Tells whether some GCM may have given this number out; otherwise a caller made it up, and counting on
@@ -99,33 +62,73 @@ impl Ids {
     }
 
     /// A number that was given out before, by this GCM or one before it, and is kept from now on, too.
-    pub(super) fn not_below(&self, epoch: u64) -> Result<u64, IdsError> {
-        let mut kept = self.kept.lock();
-        if kept.next_epoch < epoch {
-            let next = Kept { next_epoch: epoch, ..*kept };
-            self.write(next)?;
-            *kept = next;
+    pub(super) fn not_below(&self, epoch: u64) -> u64 {
+        if self.kept.lock().next_epoch < epoch {
+            self.count(|kept| kept.next_epoch = kept.next_epoch.max(epoch));
         }
-        Ok(epoch)
+        epoch
     }
 
-    fn write(&self, kept: Kept) -> Result<(), IdsError> {
-        let Some(file) = &self.file else { return Ok(()) };
-        let temporary = file.with_extension("json.new");
-        let done = serde_json::to_vec(&kept)
-            .map_err(io::Error::other)
-            .and_then(|text| {
-                // The state directory may have been emptied.
-                if let Some(place) = file.parent() {
-                    fs::DirBuilder::new().recursive(true).mode(0o700).create(place)?;
-                }
-                let mut new = fs::File::create(&temporary)?;
-                // The file is whole on the disk before it takes the other's place.
-                new.write_all(&text).and_then(|()| new.sync_data())
-            })
-            .and_then(|()| fs::rename(&temporary, file));
-        done.map_err(|error| IdsError { file: file.clone(), error })
+    /// Goes on from numbers that are on record elsewhere.
+    pub(super) fn goes_on_from(&self, term: u64, epoch: u64) {
+        let Kept { term: mine, next_epoch } = *self.kept.lock();
+        if mine <= term || next_epoch < epoch {
+            self.count(|kept| {
+                kept.term = kept.term.max(term + 1);
+                kept.next_epoch = kept.next_epoch.max(epoch);
+            });
+        }
     }
+
+    /// Counts on. Where that cannot be made durable, it goes on from the time of day, which the next GCM does
+    /// not come to before it is later.
+    fn count(&self, on: impl Fn(&mut Kept)) -> Kept {
+        let mut kept = self.kept.lock();
+        on(&mut kept);
+        let Some(file) = &self.file else { return *kept };
+        if let Err(error) = write(file, *kept) {
+            let by_time = Kept::by_time();
+            if kept.next_epoch < by_time.next_epoch {
+                log::error!(
+                    "{} cannot be written: {error}; numbers go on from {}",
+                    file.display(),
+                    by_time.term
+                );
+                *kept = Kept { term: kept.term.max(by_time.term), next_epoch: by_time.next_epoch };
+            }
+        }
+        *kept
+    }
+}
+
+fn read(file: &Path) -> Kept {
+    let damaged = |error: &dyn fmt::Display| {
+        let kept = Kept::by_time();
+        let (file, term) = (file.display(), kept.term);
+        log::warn!(
+            "{file} cannot be read ({error}), perhaps the disk was full: the count goes on from {term}"
+        );
+        kept
+    };
+    match fs::read(file) {
+        Ok(text) => serde_json::from_slice(&text).unwrap_or_else(|error| damaged(&error)),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Kept::default(),
+        Err(error) => damaged(&error),
+    }
+}
+
+fn write(file: &Path, kept: Kept) -> io::Result<()> {
+    let temporary = file.with_extension("json.new");
+    let text = serde_json::to_vec(&kept).map_err(io::Error::other)?;
+    let place = file.parent().unwrap_or(Path::new("."));
+    // The state directory may have been emptied.
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(place)?;
+    let mut new = fs::File::create(&temporary)?;
+    // The file is whole on the disk before it takes the other's place.
+    new.write_all(&text)?;
+    new.sync_data()?;
+    fs::rename(&temporary, file)?;
+    fs::File::open(place)?.sync_all()
 }
 
 #[cfg(test)]
@@ -137,23 +140,23 @@ mod tests {
     #[test]
     fn numbers_go_on_where_the_file_is_damaged_and_none_is_given_twice() {
         let state = tempfile::tempdir().unwrap();
-        let first = Ids::open(Some(state.path())).unwrap();
-        let (term, epoch) = (first.term(), first.next_epoch().unwrap());
+        let first = Ids::open(Some(state.path()));
+        let (term, epoch) = (first.term(), first.next_epoch());
         drop(first);
         for damage in ["", "{", "{}", "\0\0\0\0"] {
             fs::write(state.path().join("gcm.json"), damage).unwrap();
-            let then = Ids::open(Some(state.path())).unwrap();
-            assert!(then.term() > term && then.next_epoch().unwrap() > epoch, "after {damage:?}");
+            let then = Ids::open(Some(state.path()));
+            assert!(then.term() > term && then.next_epoch() > epoch, "after {damage:?}");
         }
     }
 
     #[test]
     fn a_number_that_nobody_gave_out_is_not_counted_on_from() {
-        let ids = Ids::open(None).unwrap();
+        let ids = Ids::open(None);
         assert!(!ids.may_be(0) && !ids.may_be(u64::MAX) && !ids.may_be(1 << 40));
         let by_time = Kept::by_time().next_epoch;
         assert!(ids.may_be(by_time), "one that a GCM with a damaged file gave out");
-        ids.not_below(by_time).unwrap();
-        assert_eq!(ids.next_epoch().unwrap(), by_time + 1);
+        ids.not_below(by_time);
+        assert_eq!(ids.next_epoch(), by_time + 1);
     }
 }

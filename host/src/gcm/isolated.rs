@@ -19,7 +19,7 @@ use super::away::plan_away;
 use super::changes::id_of;
 use super::isolation::{Isolated, Isolation, Wanted};
 use super::journal::Asked;
-use super::observed::Loose;
+use super::observed::After;
 
 /// Longest wait for a process that is not wanted any more: its supervisor ends it all the same.
 const GONE: Duration = Duration::from_secs(3);
@@ -276,7 +276,7 @@ impl Gcm {
         self.edit(|graph| {
             for change in &done.plan.changes {
                 if let Change::Disconnect { connection, .. } = change {
-                    cut.push(Loose::cut(connection.clone()));
+                    cut.push(After::cut(connection.clone()));
                 }
                 graph.carry_out(change);
             }

@@ -1,11 +1,13 @@
 //! What is wanted, in memory, and the records that are on their way to the store.
 //!
-//! Invariant: what is wanted changes by entries alone, and each entry is a record of its own, in that order. A
-//! store that cannot be written holds nobody up: that it is behind can be seen, and it is tried again.
+//! Invariant: what is wanted changes by entries alone, and each entry is a record of its own, in the order in
+//! which they are entered. A store that cannot be written holds nobody up for long: that it is behind can be
+//! seen, and it is tried again.
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
@@ -14,9 +16,12 @@ use trocar_rt::os::now_ns;
 
 use super::answer::Answer;
 use super::journal::{Asked, Record};
+use super::weight::weight;
 
-/// Most records that wait for a store; of more the oldest go, and are counted.
-const PENDING: usize = 4096;
+/// Most records that wait for a store, and most bytes of them, about; of more the oldest go, and are counted.
+const PENDING: (usize, usize) = (4096, 64 << 20);
+/// Time after which a record that is not durable is no more waited for.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Rung when a record waits for the store.
 pub(super) type Bell = mpsc::SyncSender<()>;
@@ -31,12 +36,6 @@ pub enum Standing {
     Written,
     /// What was decided since is in memory alone.
     Behind { why: String },
-}
-
-/// Returns the time of day, ns since 1970 (UTC).
-pub(super) fn wall_ns() -> u64 {
-    let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(wall.as_nanos()).unwrap_or(u64::MAX)
 }
 
 impl Standing {
@@ -56,15 +55,21 @@ pub(super) struct Ledger {
     held: Mutex<Held>,
     /// Number of the last record that is durable.
     durable: watch::Sender<u64>,
+    /// Last revision that is durable.
+    revision: AtomicU64,
     standing: watch::Sender<Standing>,
-    /// Rung when a record waits; present when there is a store.
-    bell: Option<Bell>,
+    /// Present while there is a store.
+    bell: Mutex<Option<Bell>>,
+    /// True: nothing is written to the store any more.
+    ended: watch::Sender<bool>,
 }
 
 #[derive(Default)]
 struct Held {
     wanted: Wanted,
     pending: VecDeque<Record>,
+    /// About as many bytes as these have.
+    weight: usize,
     /// Number of the last record.
     last: u64,
     /// Number of records that had to go before a store took them, since it last took some.
@@ -76,8 +81,16 @@ pub(super) struct Batch {
     pub(super) records: Vec<Record>,
     /// Number of the last of them.
     pub(super) last: u64,
-    /// Records before them that had to go.
-    pub(super) dropped: u64,
+    /// The last revision that they lead to.
+    pub(super) revision: u64,
+    /// Number of records before them that had to go, and what is wanted after them.
+    pub(super) dropped: Option<(u64, Wanted)>,
+}
+
+/// Returns the time of day, ns since 1970 (UTC).
+pub(super) fn wall_ns() -> u64 {
+    let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(wall.as_nanos()).unwrap_or(u64::MAX)
 }
 
 impl Ledger {
@@ -86,34 +99,28 @@ impl Ledger {
         let standing = if bell.is_some() { Standing::Written } else { Standing::None };
         Ledger {
             term,
+            revision: AtomicU64::new(wanted.revision),
             held: Mutex::new(Held { wanted, ..Held::default() }),
             durable: watch::Sender::new(0),
             standing: watch::Sender::new(standing),
-            bell,
+            ended: watch::Sender::new(bell.is_none()),
+            bell: Mutex::new(bell),
         }
     }
 
-    /// Enters one more thing that was decided. `decide` makes it while nobody else enters anything; returns its
-    /// number.
+    /// Enters one more thing that was decided. `decide` makes it while nobody else enters anything; returns
+    /// its number.
     pub(super) fn enter(&self, decide: impl FnOnce(&Wanted) -> (Entry, Option<(Asked, Answer)>)) -> u64 {
         let mut held = self.held.lock();
         let (entry, request) = decide(&held.wanted);
         held.wanted.on(&entry);
+        held.wanted.term = self.term;
         held.last += 1;
-        let Some(bell) = &self.bell else { return held.last };
+        let bell = self.bell.lock();
+        let Some(bell) = &*bell else { return held.last };
         let (asked, answer) = request.unzip();
-        held.pending.push_back(Record {
-            wall_ns: wall_ns(),
-            monotonic_ns: now_ns(),
-            term: self.term,
-            entry,
-            asked,
-            answer,
-        });
-        if held.pending.len() > PENDING {
-            held.pending.pop_front();
-            held.dropped += 1;
-        }
+        let (term, wall_ns, monotonic_ns) = (self.term, wall_ns(), now_ns());
+        held.put(Record { wall_ns, monotonic_ns, term, entry, asked, answer });
         // A bell that is full rings already.
         let _ = bell.try_send(());
         held.last
@@ -122,6 +129,15 @@ impl Ledger {
     /// What is wanted now.
     pub(super) fn wanted(&self) -> impl std::ops::Deref<Target = Wanted> + '_ {
         MutexGuard::map(self.held.lock(), |held| &mut held.wanted)
+    }
+
+    /// Returns the last revision that a GCM after this one will know: processes are told no later one. While
+    /// the store is behind, they are to know more than it.
+    pub(super) fn revision(&self) -> u64 {
+        match *self.standing.borrow() {
+            Standing::Written => self.revision.load(Ordering::Relaxed),
+            Standing::None | Standing::Behind { .. } => self.wanted().revision,
+        }
     }
 
     /// Returns the number of the last record.
@@ -136,55 +152,110 @@ impl Ledger {
 
     /// Waits until a record is durable, or until everybody can see that records are not.
     pub(super) async fn durable(&self, record: u64) {
-        if self.bell.is_none() {
+        if *self.standing.borrow() != Standing::Written {
             return;
         }
         let (mut durable, mut standing) = (self.durable.subscribe(), self.standing.subscribe());
         // The senders live as long as this.
-        tokio::select! {
-            biased;
-            _ = durable.wait_for(|last| *last >= record) => {}
-            _ = standing.wait_for(|standing| matches!(standing, Standing::Behind { .. })) => {}
+        let seen = async {
+            tokio::select! {
+                biased;
+                _ = durable.wait_for(|last| *last >= record) => {}
+                _ = standing.wait_for(|standing| matches!(standing, Standing::Behind { .. })) => {}
+            }
+        };
+        if tokio::time::timeout(PATIENCE, seen).await.is_err() {
+            self.is_behind("the disk has not confirmed a record within 1 s".into());
         }
     }
 
-    /// Takes the records that wait, at most so many.
-    pub(super) fn take(&self, most: usize) -> Batch {
+    /// Takes records that wait, at most so many and so many bytes; all of them, where others had to go.
+    pub(super) fn take(&self, (most, most_bytes): (usize, usize)) -> Batch {
         let mut held = self.held.lock();
-        let some = most.min(held.pending.len());
-        let records: Vec<Record> = held.pending.drain(..some).collect();
-        Batch { records, last: held.last - held.pending.len() as u64, dropped: held.dropped }
+        let dropped = (held.dropped > 0).then(|| (held.dropped, held.wanted.clone()));
+        let (mut records, mut bytes) = (Vec::new(), 0);
+        while let Some(first) = held.pending.front() {
+            let is_full = records.len() >= most || bytes >= most_bytes;
+            if dropped.is_none() && is_full {
+                break;
+            }
+            bytes += weight(first);
+            records.extend(held.pending.pop_front());
+        }
+        held.weight = held.weight.saturating_sub(bytes);
+        let revision = match held.pending.is_empty() {
+            true => held.wanted.revision,
+            false => records.iter().filter_map(|record| record.entry.revision()).max().unwrap_or_default(),
+        };
+        Batch { records, last: held.last - held.pending.len() as u64, revision, dropped }
     }
 
     /// Notes that the store has them.
     pub(super) fn written(&self, batch: &Batch) {
-        let mut held = self.held.lock();
-        held.dropped -= batch.dropped;
-        drop(held);
+        if let Some((dropped, _)) = &batch.dropped {
+            self.held.lock().dropped -= dropped;
+        }
+        self.revision.fetch_max(batch.revision, Ordering::Relaxed);
         self.durable.send_replace(batch.last);
-        self.standing.send_if_modified(|standing| {
-            let back = *standing != Standing::Written;
-            *standing = Standing::Written;
-            back
-        });
+        self.stands(Standing::Written);
     }
 
     /// Gives them back: the store has none of them.
     pub(super) fn not_written(&self, batch: Batch, why: String) {
         let mut held = self.held.lock();
         for record in batch.records.into_iter().rev() {
+            held.weight += weight(&record);
             held.pending.push_front(record);
         }
-        while held.pending.len() > PENDING {
-            held.pending.pop_front();
-            held.dropped += 1;
-        }
+        held.bound();
         drop(held);
-        let behind = Standing::Behind { why };
+        self.is_behind(why);
+    }
+
+    pub(super) fn is_behind(&self, why: String) {
+        if self.stands(Standing::Behind { why: why.clone() }) {
+            log::error!("the journal is behind: {why}; what is decided meanwhile is in memory alone");
+        }
+    }
+
+    fn stands(&self, now: Standing) -> bool {
         self.standing.send_if_modified(|standing| {
-            let news = *standing != behind;
-            *standing = behind;
-            news
-        });
+            let is_news = *standing != now;
+            *standing = now;
+            is_news
+        })
+    }
+
+    /// Ends the way to the store; what waits is written first, if that can be done soon.
+    pub(super) async fn close(&self) {
+        self.bell.lock().take();
+        // The sender lives as long as this.
+        let _ = self.ended.subscribe().wait_for(|ended| *ended).await;
+    }
+
+    /// Notes that nothing is written any more.
+    pub(super) fn ended(&self) {
+        let is_early = self.bell.lock().take().is_some();
+        if is_early && !matches!(*self.standing.borrow(), Standing::Behind { .. }) {
+            self.is_behind("it is not written any more: start the GCM again".into());
+        }
+        self.ended.send_replace(true);
+    }
+}
+
+impl Held {
+    fn put(&mut self, record: Record) {
+        self.weight += weight(&record);
+        self.pending.push_back(record);
+        self.bound();
+    }
+
+    fn bound(&mut self) {
+        let (most, most_bytes) = PENDING;
+        while self.pending.len() > most || self.weight > most_bytes && self.pending.len() > 1 {
+            let oldest = self.pending.pop_front();
+            self.weight = self.weight.saturating_sub(oldest.as_ref().map_or(0, weight));
+            self.dropped += 1;
+        }
     }
 }

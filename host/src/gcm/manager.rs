@@ -1,7 +1,8 @@
 //! The owner of the system graph, and what can be seen of it.
 //!
 //! Invariant: every edit of the graph is one closure under the watch channel's lock, so readers see whole
-//! states only; the revision grows by one per accepted request that changed something, and by nothing else.
+//! states only; the revision grows with each accepted request that changed something, each Stop, and whatever
+//! goes by itself, and never falls.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,9 +17,10 @@ use super::claims::Claims;
 use super::holds::Holds;
 use super::ids::Ids;
 use super::isolation::Isolation;
-use super::journal::{Asked, Snapshot};
+use super::journal::Asked;
 use super::ledger::{Bell, Ledger};
 use super::lines::Lines;
+use super::recording::Past;
 use super::requests::Answers;
 use super::sessions::Sessions;
 
@@ -40,14 +42,16 @@ pub(super) struct Inner {
     /// The processes for isolated components.
     pub(super) isolation: watch::Sender<Isolation>,
     lines: Arc<Lines>,
+    /// Revision with which it began: a process that was told a later one before has seen more.
+    pub(super) began_at: u64,
     /// Everything that was decided.
     pub(super) ledger: Ledger,
 }
 
 impl Gcm {
     /// A GCM that goes on from there and hears no process yet. With a bell, its records go to a store.
-    pub(super) fn new(ids: Ids, each_change: Duration, past: Snapshot, bell: Option<Bell>) -> Gcm {
-        let Snapshot { wanted, answers } = past;
+    pub(super) fn new(ids: Ids, each_change: Duration, past: &Past, bell: Option<Bell>) -> Gcm {
+        let (wanted, answers) = (past.wanted.clone(), past.answers.clone());
         let (graph, claims) = (wanted.unseen(), Claims::default());
         claims.count_from(Decision(wanted.decision));
         let inner = Inner {
@@ -55,10 +59,11 @@ impl Gcm {
             graph: watch::channel(Arc::new(graph)).0,
             sessions: Mutex::new(Sessions::after(&wanted)),
             claims,
-            answers: Mutex::new(Answers::after(answers)),
+            answers: Mutex::new(answers),
             holds: Mutex::default(),
             isolation: watch::Sender::new(Isolation::default()),
             lines: Arc::default(),
+            began_at: wanted.revision,
             ledger: Ledger::new(ids.term(), wanted, bell),
             ids,
         };

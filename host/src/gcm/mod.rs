@@ -18,6 +18,7 @@ mod requests;
 mod sessions;
 mod text;
 mod wanted;
+mod weight;
 
 // The manager, which owns the data.
 mod manager;
@@ -63,7 +64,6 @@ pub(crate) use changes::id_of;
 pub use fate::{Fate, Told};
 pub use guests::{Guest, Joined, Requirement};
 pub use holding::Held;
-pub use ids::IdsError;
 pub use isolated::{Supervising, Supervisor};
 pub use isolation::{Isolated, Wanted};
 pub use journal::{Asked, Loaded, Record, Remembered, Snapshot, Store, StoreError, Unusable};

@@ -6,30 +6,40 @@
 use std::time::Instant;
 
 use trocar_lcm_api::Report;
-use trocar_model::{Change, Component, ComponentId, Connection, ConnectionId, Entry, Refusal, SystemGraph};
+use trocar_model::{
+    Change, Component, ComponentId, Connection, ConnectionId, Entry, Refusal, State, SystemGraph,
+};
 
 use super::Gcm;
 use super::changes::UNDO;
 
-/// A connection that was taken out of the graph.
+/// Something to be seen to after the graph was edited.
 #[derive(Clone, Debug)]
-pub(crate) struct Loose {
-    pub(super) connection: Connection,
-    /// An LCM may still have it.
-    pub(super) is_left: bool,
+pub(crate) enum After {
+    /// A connection was taken out.
+    Cut {
+        connection: Connection,
+        /// An LCM may still have it.
+        is_left: bool,
+    },
+    /// A component failed.
+    Failed(ComponentId),
 }
 
-impl Loose {
+impl After {
     /// A connection that LCMs still have.
-    pub(super) fn cut(connection: Connection) -> Loose {
-        Loose { connection, is_left: true }
+    pub(super) fn cut(connection: Connection) -> After {
+        After::Cut { connection, is_left: true }
     }
 }
 
-/// Enters what an LCM reported; components the graph does not have are not added. Returns the connections
-/// that went.
-pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Loose> {
+/// Enters what an LCM reported; components the graph does not have are not added.
+pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<After> {
     let Some(component) = graph.components.get_mut(&report.id) else { return Vec::new() };
+    let mut after = Vec::new();
+    if report.state == State::Fault && component.state != State::Fault {
+        after.push(After::Failed(report.id.clone()));
+    }
     component.state = report.state;
     component.health = report.health;
     component.fault.clone_from(&report.fault);
@@ -38,23 +48,23 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<Loose> {
     if let Some(ports) = others {
         component.ports = ports.clone();
     }
-    let mut gone = Vec::new();
+    let before = after.len();
     for number in &report.lost_connections {
         let id = ConnectionId(*number);
         if let Some(c) = graph.connections.get(&id).filter(|c| touches(c, &report.id)).cloned() {
             log::warn!("{}: its port went at {}", cut(&c), report.id);
             graph.connections.remove(&id);
             // Another LCM has the other half.
-            gone.push(Loose { is_left: !c.is_near(), connection: c });
+            after.push(After::Cut { is_left: !c.is_near(), connection: c });
         }
     }
-    if !gone.is_empty() {
+    if after.len() > before {
         graph.revision += 1;
     }
     if changed {
-        gone.extend(loosen(graph, &report.id));
+        after.extend(loosen(graph, &report.id));
     }
-    gone
+    after
 }
 
 /// Puts a component back to its known state, after a report that came late: neither that report nor the
@@ -66,12 +76,12 @@ pub(super) fn stand_by(graph: &mut SystemGraph, id: &ComponentId, known: Option<
 }
 
 /// Takes the connections of a component that do not fit any more out of the graph.
-pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<Loose> {
+pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<After> {
     let mut taken = Vec::new();
     for (number, why) in graph.loose_ends(id) {
         if let Some(connection) = graph.connections.remove(&number) {
             log::warn!("{}: {why}", cut(&connection));
-            taken.push(Loose::cut(connection));
+            taken.push(After::cut(connection));
         }
     }
     if !taken.is_empty() {
@@ -98,15 +108,24 @@ impl Gcm {
         lcm.apply(Change::Disconnect { connection, replaced: false }, deadline.into()).await.map(|_| ())
     }
 
-    /// Puts on record that connections were taken out of the graph, and has the LCMs cut those that they may
-    /// still have. Not waited for.
-    pub(super) fn cut_off(&self, loose: Vec<Loose>) {
-        if loose.is_empty() {
-            return;
+    /// Puts on record that components failed and that connections were taken out of the graph, and has the LCMs
+    /// cut those that they may still have. Not waited for.
+    pub(super) fn cut_off(&self, loose: Vec<After>) {
+        let mut left = Vec::new();
+        let mut connections = Vec::new();
+        for after in loose {
+            match after {
+                After::Cut { connection, is_left } => {
+                    connections.push(connection.id);
+                    left.extend(is_left.then_some(connection));
+                }
+                After::Failed(component) => _ = self.enter(Entry::Failed { component }),
+            }
         }
-        let connections = loose.iter().map(|loose| loose.connection.id).collect();
-        self.enter(Entry::Cut { revision: self.graph().revision, connections });
-        for Loose { connection, .. } in loose.into_iter().filter(|loose| loose.is_left) {
+        if !connections.is_empty() {
+            self.inner.ledger.enter(|_| (Entry::Cut { revision: self.graph().revision, connections }, None));
+        }
+        for connection in left {
             let gcm = self.clone();
             tokio::spawn(async move {
                 let number = connection.id.0;

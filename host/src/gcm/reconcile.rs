@@ -3,9 +3,9 @@
 //!
 //! Invariant: nothing is set in motion; what requests under way have done is left to them until they end.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use trocar_lcm_api::{Inventory, Lcm, Order, Report};
 use trocar_model::{
@@ -17,57 +17,106 @@ use super::claims::Planned;
 use super::sessions::{Registration, Slice};
 use super::{Gcm, text};
 
+/// Pause before they are looked for once more.
+const AGAIN: Duration = Duration::from_secs(1);
+/// Times that differences are looked for before what is left is only shown.
+const TIMES: u64 = 3;
+
 /// Tells whether a process may have something else than is wanted of it.
-pub(super) fn differs(graph: &SystemGraph, who: &Registration, inventory: &Inventory) -> bool {
-    !amends(graph, graph, &who.process, &who.slice, &inventory.components).is_empty()
+pub(super) fn differs(
+    graph: &SystemGraph,
+    who: &Registration,
+    inventory: &Inventory,
+    granted: &BTreeSet<ComponentId>,
+) -> bool {
+    let look = Look { graph, then: graph, process: &who.process, slice: &who.slice, granted, connects: true };
+    !look.amends(&inventory.components).is_empty()
 }
 
-/// Returns the changes that take away what a process has and should not, and put back what it has otherwise.
-/// `slice`: everything it was told to have when the graph was as `then`; `has`: its components now.
-fn amends(
-    graph: &SystemGraph,
-    then: &SystemGraph,
-    process: &Name,
-    slice: &Slice,
-    has: &[Report],
-) -> Vec<Change> {
-    let told: BTreeMap<&ComponentId, &Component> = slice.components.iter().map(|(id, c)| (id, c)).collect();
-    let is_wanted = |id: &ComponentId| graph.components.contains_key(id);
-    let (mut stops, mut rest, mut goes) = (Vec::new(), Vec::new(), Vec::new());
-    for report in has.iter().filter(|report| report.id.process == *process && !is_wanted(&report.id)) {
-        let (id, to) = (report.id.clone(), State::Stopped(StopReason::Requested));
-        if report.state == State::Active {
-            stops.push(Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to });
+/// Everything that a process is compared with.
+struct Look<'a> {
+    graph: &'a SystemGraph,
+    /// The graph when the process came.
+    then: &'a SystemGraph,
+    process: &'a Name,
+    /// Everything that it was told to have when it came.
+    slice: &'a Slice,
+    /// Components that may run.
+    granted: &'a BTreeSet<ComponentId>,
+    /// Connections that it lacks are made, too.
+    connects: bool,
+}
+
+impl Look<'_> {
+    /// Returns the changes that take away what a process has and should not, and put back what it has
+    /// otherwise. `has`: how its components stand.
+    fn amends(&self, has: &[Report]) -> Vec<Change> {
+        let told: BTreeMap<&ComponentId, &Component> =
+            self.slice.components.iter().map(|(id, c)| (id, c)).collect();
+        let mine: Vec<&Report> = has.iter().filter(|report| report.id.process == *self.process).collect();
+        let goes = |report: &&&Report| self.is_another(&report.id, told.get(&report.id).copied());
+        let gone: BTreeSet<&ComponentId> = mine.iter().filter(goes).map(|report| &report.id).collect();
+        let (mut stops, mut rest, mut destroyed) = (Vec::new(), Vec::new(), Vec::new());
+        for report in &mine {
+            let (id, to) = (report.id.clone(), State::Stopped(StopReason::Requested));
+            let may_run = self.granted.contains(&id) && !gone.contains(&id);
+            if report.state == State::Active && !may_run {
+                stops.push(Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to });
+            }
+            if gone.contains(&id) {
+                let component = told.get(&id).map_or_else(|| nameless(report.state), |c| (*c).clone());
+                destroyed.push(Change::Destroy { id, component: Box::new(component) });
+            } else {
+                rest.extend(told.get(&id).and_then(|known| self.configured_back(report, known)));
+            }
         }
-        let component = told.get(&id).map_or_else(|| nameless(report.state), |known| (*known).clone());
-        goes.push(Change::Destroy { id, component: Box::new(component) });
-    }
-    let is_same = |a: &Connection, b: &Connection| a.client == b.client && a.server == b.server;
-    let mine = |c: &&Connection| c.is_near() && c.ends_in(process);
-    for connection in slice.connections.iter().filter(mine) {
-        if !graph.connections.get(&connection.id).is_some_and(|wanted| is_same(wanted, connection)) {
-            rest.push(Change::Disconnect { connection: connection.clone(), replaced: false });
+        let is_same = |a: &Connection, b: &Connection| a.client == b.client && a.server == b.server;
+        let near = |c: &&Connection| c.is_near() && c.ends_in(self.process);
+        let cut = |c: &Connection| [&c.client, &c.server].iter().any(|end| gone.contains(&end.component));
+        let mut wires = Vec::new();
+        for connection in self.slice.connections.iter().filter(near) {
+            let wanted = self.graph.connections.get(&connection.id);
+            if cut(connection) || !wanted.is_some_and(|wanted| is_same(wanted, connection)) {
+                wires.push(Change::Disconnect { connection: connection.clone(), replaced: false });
+            }
         }
+        let is_there = |id: &ComponentId| mine.iter().any(|report| report.id == *id) && !gone.contains(id);
+        for connection in self.graph.connections.values().filter(near) {
+            let has_it =
+                self.slice.connections.iter().any(|c| c.id == connection.id && is_same(c, connection));
+            let was_to_be = self.then.connections.contains_key(&connection.id);
+            let ends = [&connection.client.component, &connection.server.component];
+            // With a component that is made anew its connections are, too.
+            if self.connects && !has_it && was_to_be && ends.into_iter().all(is_there) {
+                wires.push(Change::Connect { connection: connection.clone() });
+            }
+        }
+        stops.into_iter().chain(rest).chain(wires).chain(destroyed).collect()
     }
-    for report in has {
-        let (Some(wanted), Some(known)) = (graph.components.get(&report.id), told.get(&report.id)) else {
-            continue;
+
+    /// Tells whether a component is none that is wanted: unknown, of another class, or on another thread.
+    fn is_another(&self, id: &ComponentId, told: Option<&Component>) -> bool {
+        let Some(wanted) = self.graph.components.get(id) else { return true };
+        let was = self.then.components.get(id);
+        let is_as_then =
+            was.is_some_and(|was| was.class == wanted.class && was.execution == wanted.execution);
+        let is_other = |told: &Component| {
+            (told.class.full_name(), &told.class.hash, &told.execution)
+                != (wanted.class.full_name(), &wanted.class.hash, &wanted.execution)
         };
-        let is_as_then = then.components.get(&report.id).is_some_and(|c| c.config == wanted.config);
-        if wanted.config != known.config && is_as_then && report.state != State::Fault {
-            let (from, to) = (known.config.clone(), wanted.config.clone());
-            let (from_state, to_state) = (report.state, report.state);
-            rest.push(Change::Configure { id: report.id.clone(), from, to, from_state, to_state });
-        }
+        is_as_then && told.is_some_and(is_other)
     }
-    for connection in graph.connections.values().filter(mine).filter(|c| then.connections.contains_key(&c.id))
-    {
-        let has_it = slice.connections.iter().any(|c| c.id == connection.id && is_same(c, connection));
-        if !has_it {
-            rest.push(Change::Connect { connection: connection.clone() });
+
+    fn configured_back(&self, report: &Report, told: &Component) -> Option<Change> {
+        let wanted = self.graph.components.get(&report.id)?;
+        let is_as_then = self.then.components.get(&report.id).is_some_and(|c| c.config == wanted.config);
+        if wanted.config == told.config || !is_as_then || report.state == State::Fault {
+            return None;
         }
+        let (from, to) = (told.config.clone(), wanted.config.clone());
+        let (from_state, to_state) = (report.state, report.state);
+        Some(Change::Configure { id: report.id.clone(), from, to, from_state, to_state })
     }
-    stops.into_iter().chain(rest).chain(goes).collect()
 }
 
 /// Stands for a component of which its name alone is known.
@@ -98,43 +147,88 @@ fn nameless(state: State) -> Component {
     }
 }
 
+/// Notes a change in what a process was told to have.
+fn note(slice: &mut Slice, change: &Change) {
+    match change {
+        Change::Destroy { id, .. } => slice.components.retain(|(other, _)| other != id),
+        Change::Configure { id, to, .. } => {
+            for (_, component) in slice.components.iter_mut().filter(|(other, _)| other == id) {
+                component.config.clone_from(to);
+            }
+        }
+        Change::Connect { connection } => slice.connections.push(connection.clone()),
+        Change::Disconnect { connection, .. } => slice.connections.retain(|c| c.id != connection.id),
+        Change::Create { .. } | Change::Run { .. } => {}
+    }
+}
+
 impl Gcm {
-    /// Makes a process in its session have what is wanted. `slice`: what it was told to have when it came, and
-    /// the graph was as `then`.
-    pub(super) async fn reconcile(&self, process: &Name, session: u64, slice: Slice, then: Arc<SystemGraph>) {
-        let Some(everything) = Target::everything().within(process) else { return };
+    /// Makes a process in its session have nothing but what is wanted. `slice`: what it was told to have when
+    /// it came, and the graph was as `then`. Returns what it has afterwards; `None`: the session is over, or
+    /// nobody can tell. `connects`: makes connections that it lacks, too.
+    pub(super) async fn reconcile(
+        &self,
+        process: &Name,
+        session: u64,
+        slice: &Slice,
+        then: &SystemGraph,
+        connects: bool,
+    ) -> Option<Vec<Report>> {
+        let everything = Target::everything().within(process)?;
         let part = [Request::Stop { targets: vec![everything] }];
         let since = self.inner.claims.arrive();
-        let claim = loop {
+        let mut slice = slice.clone();
+        for time in 1..=TIMES {
             let until = Instant::now() + self.inner.each_change;
             // The claim is of all that there may be, not of a plan.
             let all = |_: &SystemGraph| Ok(Planned { plan: Plan::default(), is_whole: false });
-            match self.claim_part(&part, (since, until), all).await {
-                Ok((claim, ..)) => break claim,
-                Err(refusal) => log::warn!("process {process} may have more than is wanted: {refusal}"),
+            let claim = match self.claim_part(&part, (since, until), all).await {
+                Ok((claim, ..)) => claim,
+                Err(refusal) => {
+                    log::warn!("process {process} may have something else than is wanted: {refusal}");
+                    continue;
+                }
+            };
+            let lcm = self.lcm_of(process).ok().filter(|_| self.hears(process, session))?;
+            let has = match lcm.inventory().await {
+                Ok(inventory) => inventory.components,
+                Err(refusal) => {
+                    log::warn!("the inventory of {process} cannot be had: {refusal}");
+                    continue;
+                }
+            };
+            let (graph, granted) = (self.graph(), self.granted(process));
+            let amends = Look { graph: &graph, then, process, slice: &slice, granted: &granted, connects }
+                .amends(&has);
+            if amends.is_empty() {
+                return Some(has);
             }
-            if !self.hears(process, session) {
-                return;
+            for change in amends {
+                if !self.hears(process, session) {
+                    return None;
+                }
+                log::warn!("{}: process {process} has it otherwise than was decided", text::line(&change));
+                match self.amend(&*lcm, process, &change).await {
+                    Ok(()) => note(&mut slice, &change),
+                    Err(refusal) if time == TIMES => self.not_amended(&change, &refusal),
+                    Err(refusal) => log::warn!("{}: {refusal}", text::line(&change)),
+                }
             }
-        };
-        let lcm = match self.lcm_of(process) {
-            Ok(lcm) if self.hears(process, session) => lcm,
-            _ => return,
-        };
-        let has = match lcm.inventory().await {
-            Ok(inventory) => inventory.components,
-            Err(refusal) => return log::warn!("the inventory of {process} cannot be had: {refusal}"),
-        };
-        for change in amends(&self.graph(), &then, process, &slice, &has) {
-            if !self.hears(process, session) {
-                return;
-            }
-            log::warn!("{}: process {process} has it otherwise than was decided", text::line(&change));
-            if let Err(refusal) = self.amend(&*lcm, process, &change).await {
-                self.not_amended(&change, &refusal);
+            drop(claim);
+            if time < TIMES {
+                tokio::time::sleep(AGAIN * u32::try_from(time - 1).unwrap_or(1)).await;
             }
         }
-        drop(claim);
+        let lcm = self.lcm_of(process).ok().filter(|_| self.hears(process, session))?;
+        lcm.inventory().await.ok().map(|inventory| inventory.components)
+    }
+
+    /// Returns the components of a process that may run now.
+    fn granted(&self, process: &Name) -> BTreeSet<ComponentId> {
+        let epoch = self.graph().processes.get(process).map_or(0, |process| process.epoch);
+        let wanted = self.inner.ledger.wanted();
+        let mine = wanted.components.keys().filter(|id| id.process == *process);
+        mine.filter(|id| wanted.is_granted(id, epoch)).cloned().collect()
     }
 
     async fn amend(&self, lcm: &dyn Lcm, process: &Name, change: &Change) -> Result<(), Refusal> {

@@ -5,8 +5,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use trocar_lcm_api::{Inventory, Lcm, Report};
+use trocar_links::Card;
 use trocar_model::{
     Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process, ProcessState,
     Refusal, State, SystemGraph, WantedComponent,
@@ -14,7 +15,7 @@ use trocar_model::{
 
 use super::Gcm;
 use super::follow::follow;
-use super::observed::{Loose, loosen, observe};
+use super::observed::{After, loosen, observe};
 use super::reconcile::differs;
 use super::remote::settle;
 use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
@@ -36,34 +37,30 @@ impl Gcm {
         inventory: Inventory,
     ) -> Result<Registered, Refusal> {
         self.inner.claims.count_on(inventory.decision);
-        let is_guest = !who.guest.is_empty();
         let stopped_here = inventory.stopped_here.clone();
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
         let (asks, asked) = mpsc::channel(ASKING);
-        let claimed = {
-            // Taken before the lock: an editor of the graph may take the lock of the sessions inside.
-            let (graph, card) = (self.graph(), inventory.card.clone());
-            self.inner.sessions.lock().claim(&graph, &self.inner.ids, &who, lcm.clone(), asks, card)?
-        };
-        let Claimed { session, epoch, back } = claimed;
-        let is_on_record = self.inner.ledger.wanted().processes.contains_key(&who.process);
-        if !is_guest {
+        let claimed = self.claim_name(&who, lcm.clone(), asks, inventory.card.clone())?;
+        let Claimed { session, epoch, back, .. } = claimed;
+        let word = self.word_of(&who, &claimed);
+        if who.guest.is_empty() {
             let incarnation = Incarnation { instance: who.instance, epoch };
-            self.enter(Entry::Came { process: who.process.clone(), incarnation });
+            let came = self.enter(Entry::Came { process: who.process.clone(), incarnation });
+            // Before anything is made in it: the next GCM knows whom it has made that in.
+            self.inner.ledger.durable(came).await;
         }
-        let granted = is_on_record.then(|| self.granted(&who.process, epoch));
         let mut taken = TakenIn::default();
         self.edit(|graph| {
             let mut sessions = self.inner.sessions.lock();
             // Its end was told, or it was replaced, while it was taken in.
             if sessions.holder(&who.process) == Some(session) {
-                taken = take_in(&mut sessions, graph, &who, &claimed, inventory, granted.as_ref());
+                taken = take_in(&mut sessions, graph, &who, &claimed, &word, inventory);
             }
         });
-        let word = if back { "is back" } else { "registered" };
-        log::info!("process {} {word} (epoch {epoch}, pid {})", who.process, who.pid);
-        if taken.is_brought && !is_guest {
+        let back_word = if back { "is back" } else { "registered" };
+        log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
+        if taken.is_brought && who.guest.is_empty() {
             self.bring(&who.process);
         }
         self.cut_off(taken.loose);
@@ -72,66 +69,154 @@ impl Gcm {
         tokio::spawn(follow(gcm, who.process.clone(), session, lcm, news, asked));
         self.stop_owed(session, taken.owed);
         self.heard_stop(&who.process, stopped_here);
-        let untold = match taken.gets_back {
+        let untold = match back {
+            true => self.inner.sessions.lock().take_untold(&who.process),
             // Another incarnation moves nothing by itself.
-            Some(_) => {
+            false => {
                 self.inner.sessions.lock().forgets(&who.process);
                 None
             }
-            None => self.inner.sessions.lock().take_untold(&who.process),
         };
         if let Some(untold) = untold {
             self.tell_untold(&who.process, untold);
         }
-        match taken.gets_back {
-            Some(here) => _ = tokio::spawn(self.clone().restore(who.process, session, here)),
-            None => {
-                _ = tokio::spawn(self.clone().settle_in(who, session, taken.differs.then(|| self.graph())))
-            }
-        }
+        let then = taken.differs.then(|| self.graph());
+        tokio::spawn(self.clone().settle_in(who, session, taken.gets_back, then));
         Ok(Registered { session, epoch, term: self.term(), revision: self.graph().revision })
     }
-}
 
-impl Gcm {
-    /// Returns the components of a process that may run: those whose start was decided for this incarnation of
-    /// it, or is not decided yet.
-    fn granted(&self, process: &Name, epoch: u64) -> BTreeSet<ComponentId> {
+    /// Gives a process its name, if that is free, and its epoch.
+    fn claim_name(
+        &self,
+        who: &Registration,
+        lcm: Arc<dyn Lcm>,
+        asks: mpsc::Sender<oneshot::Sender<()>>,
+        card: Option<Card>,
+    ) -> Result<Claimed, Refusal> {
+        // The disk is waited for without the lock.
+        let keeps = self.inner.sessions.lock().keeps(who);
+        let epoch = match keeps.filter(|epoch| self.inner.ids.may_be(*epoch)) {
+            Some(epoch) => self.inner.ids.not_below(epoch),
+            None => self.inner.ids.next_epoch(),
+        };
+        // Taken before the lock: an editor of the graph may take the lock of the sessions inside.
+        let graph = self.graph();
+        self.inner.sessions.lock().claim(&graph, epoch, who, lcm, asks, card)
+    }
+
+    /// Returns the word that counts for what a process is to have.
+    fn word_of(&self, who: &Registration, claimed: &Claimed) -> Word {
+        // First, since what is under way may be decided meanwhile.
+        let under_way = self.inner.claims.under_way(&who.process);
         let wanted = self.inner.ledger.wanted();
-        let mine = wanted.components.keys().filter(|id| id.process == *process);
-        let granted: BTreeSet<_> = mine.filter(|id| wanted.is_granted(id, epoch)).cloned().collect();
-        drop(wanted);
-        granted.into_iter().chain(self.inner.claims.under_way(process)).collect()
+        // A GCM whose journal was behind, or that has none, knows less than the process.
+        let is_ahead = !claimed.was_here && who.revision > self.inner.began_at;
+        let mut mine = wanted.components.keys().filter(|id| id.process == who.process).peekable();
+        // One that comes from elsewhere under a name of which nothing is wanted.
+        let is_strange = !claimed.back && mine.peek().is_none();
+        let is_on_record = wanted.processes.contains_key(&who.process);
+        if is_ahead || is_strange || !is_on_record || !who.guest.is_empty() {
+            return Word::OfProcess;
+        }
+        let granted = mine.filter(|id| wanted.is_granted(id, claimed.epoch)).cloned().collect();
+        Word::OnRecord { granted, under_way: under_way.into_iter().collect() }
     }
 
     /// Puts on record what a process has brought along that was not on record.
     fn bring(&self, process: &Name) {
-        let graph = self.graph();
-        let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
-        let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
-        let as_wanted = |component: &Component| WantedComponent::seen(component, graph.revision, epoch);
-        self.enter(Entry::Brought {
-            revision: graph.revision,
-            process: process.clone(),
-            components: mine.map(|(id, component)| (id.clone(), as_wanted(component))).collect(),
-            connections: graph.connections.values().filter(|c| c.ends_in(process)).cloned().collect(),
+        self.inner.ledger.enter(|_| {
+            let graph = self.graph();
+            let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
+            let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+            let as_wanted = |component: &Component| WantedComponent::seen(component, graph.revision, epoch);
+            let components: Vec<_> = mine.map(|(id, c)| (id.clone(), as_wanted(c))).collect();
+            let wires =
+                graph.connections.values().filter(|c| c.ends_in(process) && !graph.is_guests(&c.client));
+            let connections: Vec<_> = wires.cloned().collect();
+            let (revision, process) = (graph.revision, process.clone());
+            match components.is_empty() && connections.is_empty() {
+                true => (Entry::Noted, None),
+                false => (Entry::Brought { revision, process, components, connections }, None),
+            }
         });
     }
 
-    /// Makes a process that is here have what is wanted, and nothing else.
-    async fn settle_in(self, who: Registration, session: u64, differs_from: Option<Arc<SystemGraph>>) {
-        if let Some(then) = differs_from {
-            self.reconcile(&who.process, session, who.slice, then).await;
+    /// Makes a process that is here have what is wanted, and nothing else. `here`: what it has, when it lacks
+    /// something; `then`: the graph when it came, when it may have something else.
+    async fn settle_in(
+        self,
+        who: Registration,
+        session: u64,
+        here: Option<Here>,
+        then: Option<Arc<SystemGraph>>,
+    ) {
+        let process = who.process.clone();
+        let (mut here, lacks) = (here.clone().unwrap_or_default(), here.is_some());
+        if let Some(then) = then {
+            match self.reconcile(&process, session, &who.slice, &then, !lacks).await {
+                Some(has) if lacks || self.lacks_some(&process, &has) => {
+                    here.components = has.iter().map(|report| (report.id.clone(), report.state)).collect();
+                    let whole = |c: &Connection| {
+                        [&c.client, &c.server].iter().all(|end| {
+                            end.component.process != process || here.components.contains_key(&end.component)
+                        })
+                    };
+                    let graph = self.graph();
+                    let wires = graph.connections.values().filter(|c| c.is_near() && c.ends_in(&process));
+                    let has = who.slice.connections.iter().map(|c| c.id).collect::<BTreeSet<_>>();
+                    let stands = |c: &&Connection| whole(c) && (!lacks || has.contains(&c.id));
+                    here.connections = wires.filter(stands).map(|c| c.id).collect();
+                    return self.give_back(process, session, here).await;
+                }
+                _ if lacks => {}
+                _ => return self.link_missing(process).await,
+            }
         }
-        self.link_missing(who.process).await;
+        match lacks {
+            true => self.restore(process, session, here).await,
+            false => self.link_missing(process).await,
+        }
     }
+
+    fn lacks_some(&self, process: &Name, has: &[Report]) -> bool {
+        let graph = self.graph();
+        let mut mine = graph.components.keys().filter(|id| id.process == *process);
+        mine.any(|id| !has.iter().any(|report| report.id == *id))
+    }
+
+    /// Has a process made whole that was attached already.
+    async fn give_back(self, process: Name, session: u64, here: Here) {
+        self.edit(|graph| {
+            let mut sessions = self.inner.sessions.lock();
+            if sessions.holder(&process) == Some(session)
+                && let Some(there) = graph.processes.get_mut(&process)
+            {
+                there.state = ProcessState::Restarting;
+                sessions.wanted.begin(&process);
+            }
+        });
+        self.restore(process, session, here).await;
+    }
+}
+
+/// The word that counts for what a process is to have.
+enum Word {
+    /// What was decided: the process is evidence of how it stands.
+    OnRecord {
+        /// Components that may run: their start was decided for this incarnation.
+        granted: BTreeSet<ComponentId>,
+        /// Components of which requests under way have the last word.
+        under_way: BTreeSet<ComponentId>,
+    },
+    /// Its own: there is no other.
+    OfProcess,
 }
 
 /// Tasks that remain when a process is entered in the graph.
 #[derive(Default)]
 struct TakenIn {
     /// Connections that do not fit any more.
-    loose: Vec<Loose>,
+    loose: Vec<After>,
     /// The word of the process was taken for what was decided.
     is_brought: bool,
     /// The process may have something else than is wanted.
@@ -144,49 +229,51 @@ struct TakenIn {
     gets_back: Option<Here>,
 }
 
-/// Enters a process with what it has and what it is to have. `granted`: those of its components that may run;
-/// `None`: there is no word of it.
+/// Enters a process with what it has and what it is to have.
 fn take_in(
     sessions: &mut Sessions,
     graph: &mut SystemGraph,
     who: &Registration,
     claimed: &Claimed,
+    word: &Word,
     inventory: Inventory,
-    granted: Option<&BTreeSet<ComponentId>>,
 ) -> TakenIn {
     let mut taken = TakenIn::default();
-    let empty = who.slice.components.is_empty() && inventory.components.is_empty();
-    let begins = !claimed.back && empty && graph.components.keys().any(|id| id.process == who.process);
-    // What was decided counts, where it is known: a process is evidence of how it stands.
-    let is_known = claimed.back && granted.is_some() && who.revision <= graph.revision;
     graph.revision = graph.revision.max(who.revision);
-    let is_there = |id: &ComponentId| inventory.components.iter().any(|report| report.id == *id);
-    let lacks = is_known && graph.components.keys().any(|id| id.process == who.process && !is_there(id));
-    // The process may be lost, and come back, in the middle of its restart.
-    let goes_on = claimed.back && sessions.wanted.is_unfinished(&who.process);
+    // No number of a connection comes back while somebody may have it.
+    let last = who.slice.connections.iter().map(|c| c.id.0.saturating_add(1)).max();
+    graph.next_connection = graph.next_connection.max(last.unwrap_or_default());
     graph.proxies.retain(|_, half| half.process != who.process);
     sessions.counts_anew(&who.process);
-    if begins || goes_on || lacks {
-        sessions.wanted.begin(&who.process);
-        taken.gets_back = Some(already(graph, who, &inventory));
-    } else {
-        if is_known {
-            inventory.components.iter().for_each(|report| taken.loose.extend(observe(graph, report)));
-        } else {
+    match word {
+        Word::OnRecord { granted, under_way } => {
+            // The process may be lost, and come back, in the middle of its restart.
+            let goes_on = claimed.back && sessions.wanted.is_unfinished(&who.process);
+            let lacks = lacks(graph, &who.process, &inventory);
+            taken.differs = !under_way.is_empty() || differs(graph, who, &inventory, granted);
+            let may_run = |id: &ComponentId| granted.contains(id) || under_way.contains(id);
+            let runs = inventory.components.iter().filter(|report| report.state == State::Active);
+            let unasked = runs.filter(|report| !may_run(&report.id));
+            let unasked: Vec<_> = unasked.map(|report| (report.id.clone(), report.state)).collect();
+            if goes_on || lacks {
+                sessions.wanted.begin(&who.process);
+                taken.gets_back = Some(already(graph, who, &inventory));
+                taken.owed = unasked;
+            } else {
+                inventory.components.iter().for_each(|report| taken.loose.extend(observe(graph, report)));
+                taken.owed = sessions.wanted.owed(graph, &who.process);
+                sessions.wanted.here(&who.process, &taken.owed);
+                let owed: BTreeSet<_> = taken.owed.iter().map(|(id, _)| id.clone()).collect();
+                taken.owed.extend(unasked.into_iter().filter(|(id, _)| !owed.contains(id)));
+            }
+        }
+        Word::OfProcess => {
             adopt(graph, who, &inventory);
             taken.is_brought = true;
-        }
-        taken.owed = sessions.wanted.owed(graph, &who.process);
-        sessions.wanted.here(&who.process, &taken.owed);
-        if let Some(granted) = granted.filter(|_| is_known) {
-            let runs = |report: &&Report| report.state == State::Active && !granted.contains(&report.id);
-            let owed = |id: &ComponentId| taken.owed.iter().any(|(other, _)| other == id);
-            let unasked: Vec<_> =
-                inventory.components.iter().filter(runs).filter(|report| !owed(&report.id)).collect();
-            taken.owed.extend(unasked.into_iter().map(|report| (report.id.clone(), report.state)));
+            taken.owed = sessions.wanted.owed(graph, &who.process);
+            sessions.wanted.here(&who.process, &taken.owed);
         }
     }
-    taken.differs = is_known && differs(graph, who, &inventory);
     settle(sessions, graph, who, &mut taken.strays, &mut taken.loose);
     // A component that is not configured yet does not have all its ports.
     if taken.gets_back.is_none() {
@@ -215,6 +302,16 @@ fn take_in(
     };
     graph.processes.insert(who.process.clone(), now);
     taken
+}
+
+/// Tells whether a process has not all that it is to have, or not whole.
+fn lacks(graph: &SystemGraph, process: &Name, inventory: &Inventory) -> bool {
+    let is_whole = |id: &ComponentId, wanted: State| {
+        let has = inventory.components.iter().find(|report| report.id == *id);
+        has.is_some_and(|report| report.state != State::Created || wanted == State::Created)
+    };
+    let mut mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+    mine.any(|(id, component)| !is_whole(id, component.state))
 }
 
 /// Enters the parts a process has already of those it gets back; the rest stays listed as lost.

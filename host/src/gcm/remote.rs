@@ -14,7 +14,7 @@ use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGr
 
 use super::Gcm;
 use super::changes::UNDO;
-use super::observed::Loose;
+use super::observed::After;
 use super::sessions::{Registration, Sessions};
 
 impl Gcm {
@@ -26,10 +26,16 @@ impl Gcm {
         deadline: Instant,
     ) -> Result<Report, Refusal> {
         let (tell, told) = oneshot::channel();
-        let (gcm, connection) = (self.clone(), connection.clone());
+        let (gcm, wanted) = (self.clone(), connection.clone());
         tokio::spawn(async move {
+            let connection = wanted;
             let linked = gcm.link(&connection, deadline).await;
             let Err(Ok(_)) = tell.send(linked) else { return };
+            let is_wanted =
+                |c: &Connection| (&c.client, &c.server) == (&connection.client, &connection.server);
+            if gcm.graph().connections.get(&connection.id).is_some_and(is_wanted) {
+                return;
+            }
             log::warn!("connection {} was made too late: it is taken back", connection.id.0);
             match gcm.unlink(&connection, false, Instant::now() + UNDO).await {
                 // A half that a process away still has is cut when it is back.
@@ -37,7 +43,13 @@ impl Gcm {
                 Err(refusal) => log::error!("undoing connection {}: {refusal}", connection.id.0),
             }
         });
-        told.await.unwrap_or_else(|_| Err(Refusal::Internal { text: "linking broke off".into() }))
+        let linked =
+            told.await.unwrap_or_else(|_| Err(Refusal::Internal { text: "linking broke off".into() }));
+        if linked.is_err() {
+            // Somebody may have a half under this number.
+            self.edit(|graph| graph.next_connection = graph.next_connection.max(connection.id.0 + 1));
+        }
+        linked
     }
 
     /// Has both halves made and linked.
@@ -197,7 +209,7 @@ pub(super) fn settle(
     graph: &mut SystemGraph,
     who: &Registration,
     strays: &mut Vec<(Name, Connection)>,
-    loose: &mut Vec<Loose>,
+    loose: &mut Vec<After>,
 ) {
     let me = &who.process;
     let ends_known = |graph: &SystemGraph, c: &Connection| {
@@ -209,7 +221,7 @@ pub(super) fn settle(
     for connection in without {
         graph.connections.remove(&connection.id);
         graph.revision += 1;
-        loose.push(Loose { connection: connection.clone(), is_left: false });
+        loose.push(After::Cut { connection: connection.clone(), is_left: false });
         strays.push((other(&connection, me).clone(), connection));
     }
     let mut brought = Vec::new();

@@ -29,6 +29,7 @@ pub(super) enum Known {
     Other,
 }
 
+#[derive(Clone)]
 struct Entry {
     at: Instant,
     /// The same by the time of day, ns since 1970 (UTC).
@@ -47,25 +48,22 @@ impl Entry {
     }
 }
 
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Answers {
     kept: VecDeque<Entry>,
     bytes: usize,
 }
 
 impl Answers {
-    /// Answers of the GCM before this one, as far as they still count.
-    pub(super) fn after(remembered: Vec<Remembered>) -> Answers {
-        let mut answers = Answers::default();
-        for Remembered { wall_ns, asked, answer } in remembered {
-            let bytes = asked.request_id.len() + length(&answer);
-            answers.bytes += bytes;
-            let (id, hash, at) = (asked.request_id, asked.hash, at(wall_ns));
-            let answer = watch::channel(Some(answer)).1;
-            answers.kept.push_back(Entry { at, wall_ns, id, asked: hash, bytes, answer });
-            answers.bound();
-        }
-        answers
+    /// Puts in an answer that was given at some time, in place of an earlier one of that id.
+    pub(super) fn put(&mut self, Remembered { wall_ns, asked, answer }: Remembered) {
+        let bytes = asked.request_id.len() + length(&answer);
+        let (id, hash, at) = (asked.request_id, asked.hash, at(wall_ns));
+        self.kept.retain(|e| e.id != id);
+        let answer = watch::channel(Some(answer)).1;
+        self.kept.push_back(Entry { at, wall_ns, id, asked: hash, bytes, answer });
+        self.bytes = self.kept.iter().map(|e| e.bytes).sum();
+        self.bound();
     }
 
     /// Returns the answers that were given, for the GCM after this one.

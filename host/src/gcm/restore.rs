@@ -15,7 +15,7 @@ use trocar_model::{
 use super::Gcm;
 use super::carrying::Carrying;
 use super::changes::id_of;
-use super::observed::Loose;
+use super::observed::After;
 use super::text;
 
 /// Time for one connection to another process, which may end in the middle of it.
@@ -65,14 +65,15 @@ impl Gcm {
             }
         };
         let carrying = Carrying::begin(&self, claim);
-        let Some((away, started)) = self.make_again(&carrying, &plan, &process, session, &here).await else {
-            return;
-        };
-        if !started.is_empty() {
-            // They run by a grant for this incarnation.
+        let mut made = Vec::new();
+        let away = self.make_again(&carrying, &plan, (&process, session), &here, &mut made).await;
+        // As it was made, also when it ends in the middle: of which classes, and by which grants it runs.
+        self.inner.ledger.enter(|_| {
             let (revision, decision) = (self.graph().revision, since.0);
-            self.enter(Entry::Changed { revision, decision, changes: started });
-        }
+            let changes = self.on_record(&made, since);
+            (Entry::Changed { revision, decision, changes }, None)
+        });
+        let Some(away) = away else { return };
         log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
         // News told before would cover the notes.
         self.hear_out(&process).await;
@@ -82,17 +83,16 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
-    /// Carries out all changes of the plan; `None`: the process is gone. Returns those, too, that set something
-    /// in motion.
+    /// Carries out all changes of the plan, and puts those that are done in `made`; `None`: the process is gone.
     async fn make_again(
         &self,
         carrying: &Carrying<'_>,
         plan: &Plan,
-        process: &Name,
-        session: u64,
+        (process, session): (&Name, u64),
         here: &Here,
-    ) -> Option<(Away, Vec<Change>)> {
-        let (mut away, mut started) = (Away::default(), Vec::new());
+        made_again: &mut Vec<Change>,
+    ) -> Option<Away> {
+        let mut away = Away::default();
         let made = |id: &ComponentId| {
             let creates = |c: &Change| matches!(c, Change::Create { id: made, .. } if made == id);
             here.components.contains_key(id) || plan.changes.iter().any(creates)
@@ -122,8 +122,7 @@ impl Gcm {
                 done = carrying.one(change, deadline) => done,
             };
             match done {
-                Ok(_) if matches!(change, Change::Run { .. }) => started.push(change.clone()),
-                Ok(_) => {}
+                Ok(_) => made_again.push(change.clone()),
                 Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,
                 // The other process ended, too, or cannot be reached yet.
                 Err(
@@ -139,7 +138,7 @@ impl Gcm {
                 Err(refusal) => self.not_done(change, &refusal, &mut away),
             }
         }
-        Some((away, started))
+        Some(away)
     }
 
     /// True for a connection to another process that is not there, or not whole yet.
@@ -247,7 +246,7 @@ impl Gcm {
         if !gone {
             return;
         }
-        self.cut_off(vec![Loose { is_left: !connection.is_near(), connection: connection.clone() }]);
+        self.cut_off(vec![After::Cut { is_left: !connection.is_near(), connection: connection.clone() }]);
         let text = format!(
             "connection {} from {} to {} is gone: {why}",
             connection.id.0, connection.server, connection.client

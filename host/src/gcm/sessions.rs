@@ -14,7 +14,6 @@ use trocar_model::{
 };
 
 use super::guest_lcm::GuestLcm;
-use super::ids::Ids;
 use super::wanted::{RESTARTED, Wanted};
 
 /// Most targets of Stops that are kept for one process; more are kept as one for all of it.
@@ -78,6 +77,8 @@ pub(super) struct Sessions {
     live: BTreeMap<Name, Session>,
     /// Instance that held each name last, and its epoch.
     last: BTreeMap<Name, (u128, u64)>,
+    /// Processes that were here at some time in the life of this GCM.
+    met: BTreeSet<Name>,
     /// Number of the newest session.
     newest: u64,
     pub(super) wanted: Wanted,
@@ -124,6 +125,8 @@ pub(super) struct Claimed {
     pub(super) epoch: u64,
     /// The same instance held it last.
     pub(super) back: bool,
+    /// The name was held in the life of this GCM.
+    pub(super) was_here: bool,
 }
 
 impl Sessions {
@@ -231,7 +234,7 @@ impl Sessions {
 
     /// Tells whether the process was here at some time in the life of this GCM.
     pub(super) fn knows(&self, process: &Name) -> bool {
-        self.last.contains_key(process)
+        self.met.contains(process)
     }
 
     /// The pid of a process that is heard.
@@ -244,7 +247,6 @@ impl Sessions {
         self.live.remove(process);
         self.wanted.here(process, &[]);
         self.brought.remove(process);
-        self.forgets(process);
         // Processes that were never spawned cannot be told apart by a pid.
         if pid != 0 {
             self.dismissed.insert(process.clone(), pid);
@@ -273,14 +275,27 @@ impl Sessions {
         Some(epoch)
     }
 
+    /// Returns the epoch that a process keeps, as far as some GCM may have given it that.
+    pub(super) fn keeps(&self, who: &Registration) -> Option<u64> {
+        let known = match self.last.get(&who.process) {
+            Some((instance, epoch)) if *instance == who.instance => *epoch,
+            // A process that comes from a GCM before this one.
+            None => who.epoch,
+            // Another process had the name meanwhile.
+            Some(_) => return None,
+        };
+        let taken = self.last.iter().any(|(name, (_, epoch))| *name != who.process && *epoch == known);
+        (!taken).then_some(known)
+    }
+
     /// Checks the name and takes it, in one step.
     ///
     /// # Errors
-    /// The name is taken by another process that is heard; the epoch cannot be made durable.
+    /// The name is taken by another process that is heard; the epoch by one that came just now.
     pub(super) fn claim(
         &mut self,
         graph: &SystemGraph,
-        ids: &Ids,
+        epoch: u64,
         who: &Registration,
         lcm: Arc<dyn Lcm>,
         asks: mpsc::Sender<oneshot::Sender<()>>,
@@ -296,16 +311,9 @@ impl Sessions {
                 process: who.process.clone(),
             });
         }
-        let known = match last {
-            Some((_, epoch)) if back => epoch,
-            // A process that comes from a GCM before this one.
-            None => who.epoch,
-            // Another process had the name meanwhile.
-            Some(_) => 0,
-        };
-        let taken = || self.last.iter().any(|(name, (_, epoch))| *name != who.process && *epoch == known);
-        let epoch = if taken() || !ids.may_be(known) { ids.next_epoch() } else { ids.not_below(known) };
-        let epoch = epoch.map_err(|e| Refusal::Internal { text: e.to_string() })?;
+        if self.last.iter().any(|(name, (_, theirs))| *name != who.process && *theirs == epoch) {
+            return Err(Refusal::Busy { doing: format!("a process that came with the same epoch {epoch}") });
+        }
         self.newest += 1;
         let session = self.newest;
         self.live.insert(
@@ -315,7 +323,8 @@ impl Sessions {
         self.dismissed.remove(&who.process);
         self.ended.remove(&who.process);
         self.last.insert(who.process.clone(), (who.instance, epoch));
-        Ok(Claimed { session, epoch, back })
+        let was_here = !self.met.insert(who.process.clone());
+        Ok(Claimed { session, epoch, back, was_here })
     }
 
     /// Notes that the process may count its reports from the beginning.

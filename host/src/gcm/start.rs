@@ -10,14 +10,18 @@ use std::time::Duration;
 use trocar_model::Entry;
 
 use super::Gcm;
-use super::ids::{Ids, IdsError};
-use super::journal::{Loaded, Snapshot, Store, StoreError, Unusable};
-use super::recording::{fold, keep_writing};
+use super::ids::Ids;
+use super::journal::{Store, StoreError, Unusable};
+use super::recording::{Past, keep_writing};
+
+/// Times a store that cannot be read now is tried before the GCM begins without it.
+const LOADS: u32 = 4;
+/// Pause between them.
+const BETWEEN: Duration = Duration::from_millis(300);
 
 /// Why a GCM does not start.
 #[derive(Debug)]
 pub enum StartError {
-    Ids(IdsError),
     Store(StoreError),
     Threads(String),
 }
@@ -25,7 +29,6 @@ pub enum StartError {
 impl fmt::Display for StartError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            StartError::Ids(e) => e.fmt(f),
             StartError::Store(e) => e.fmt(f),
             StartError::Threads(why) => write!(f, "the journal gets no thread: {why}"),
         }
@@ -33,12 +36,6 @@ impl fmt::Display for StartError {
 }
 
 impl std::error::Error for StartError {}
-
-impl From<IdsError> for StartError {
-    fn from(e: IdsError) -> Self {
-        StartError::Ids(e)
-    }
-}
 
 impl From<StoreError> for StartError {
     fn from(e: StoreError) -> Self {
@@ -67,9 +64,9 @@ impl Gcm {
     ///
     /// # Errors
     /// The state folder cannot be used.
-    pub async fn start(config: GcmConfig) -> Result<Gcm, IdsError> {
-        let ids = Ids::open(config.state.as_deref())?;
-        let gcm = Gcm::new(ids, config.each_change, Snapshot::default(), None);
+    pub async fn start(config: GcmConfig) -> Result<Gcm, StartError> {
+        let ids = Ids::open(config.state.as_deref());
+        let gcm = Gcm::new(ids, config.each_change, &Past::default(), None);
         gcm.keep_phases();
         Ok(gcm)
     }
@@ -81,24 +78,34 @@ impl Gcm {
     /// The state folder cannot be used; the store is damaged, of a later release, or in use. One that cannot
     /// be read now is tried again, and the GCM begins without it.
     pub async fn resume(config: GcmConfig, mut store: Box<dyn Store>) -> Result<Gcm, StartError> {
-        let ids = Ids::open(config.state.as_deref())?;
-        let (store, loaded) = tokio::task::spawn_blocking(move || {
-            let loaded = store.load();
+        let ids = Ids::open(config.state.as_deref());
+        let load = move || {
+            let mut loaded = store.load();
+            for _ in 1..LOADS {
+                if !matches!(&loaded, Err(e) if e.unusable == Unusable::Now) {
+                    break;
+                }
+                std::thread::sleep(BETWEEN);
+                loaded = store.load();
+            }
             (store, loaded)
-        })
-        .await
-        .map_err(|e| StartError::Threads(e.to_string()))?;
+        };
+        let (store, loaded) =
+            tokio::task::spawn_blocking(load).await.map_err(|e| StartError::Threads(e.to_string()))?;
         let past = match loaded {
-            Ok(loaded) => fold(loaded),
+            Ok(loaded) => Past::of(loaded),
             Err(e) if e.unusable == Unusable::Now => {
                 log::error!("{e}; this GCM begins without what was decided before");
-                fold(Loaded::default())
+                Past::default()
             }
             Err(e) => return Err(e.into()),
         };
+        // Counters that were lost go on from what is on record.
+        let epochs = past.wanted.processes.values().map(|process| process.epoch);
+        ids.goes_on_from(past.wanted.term, epochs.max().unwrap_or_default());
         let (bell, rung) = mpsc::sync_channel(1);
-        let gcm = Gcm::new(ids, config.each_change, past.snapshot, Some(bell));
-        keep_writing(&gcm.inner, store, rung, past.beside).map_err(|e| StartError::Threads(e.to_string()))?;
+        let gcm = Gcm::new(ids, config.each_change, &past, Some(bell));
+        keep_writing(&gcm.inner, store, rung, past).map_err(|e| StartError::Threads(e.to_string()))?;
         // On record before anything is decided by it.
         let begun = gcm.enter(Entry::Noted);
         gcm.inner.ledger.durable(begun).await;

@@ -51,9 +51,13 @@ impl Gcm {
         let (mut attempts, since) = (0, self.inner.claims.arrive());
         loop {
             let graph = self.graph();
-            let Difference { requests, left, refused, .. } = file.difference(&graph, &self.held(), prune)?;
+            let compared = file.difference(&graph, &self.held(), prune);
+            let Difference { requests, left, refused, .. } = match compared {
+                Ok(compared) => compared,
+                Err(refusal) => return self.put_down(options, &by, Err(refusal)).await,
+            };
             if let Some(refusal) = refused {
-                return Err(refusal);
+                return self.put_down(options, &by, Err(refusal)).await;
             }
             let compared = ExecuteOptions {
                 expected_revision: options.expected_revision.or(Some(graph.revision)),
@@ -61,10 +65,16 @@ impl Gcm {
             };
             let asked = Asked { text: audit::asked(&requests), ..by.clone() };
             attempts += 1;
-            match self.audited(&requests, &compared, &asked, (since, deadline)).await {
+            // A file may do no more than stop what it does not name.
+            let is_changed = self.change(&requests, &compared, &asked, (since, deadline)).await;
+            match is_changed {
+                // One request, one record: of the last comparison.
                 Err(Refusal::RevisionConflict { .. })
                     if options.expected_revision.is_none() && attempts < ATTEMPTS => {}
-                answer => return answer.map(|done| Executed { left, ..done }),
+                changed => {
+                    let answer = self.put_down(options, &asked, changed).await;
+                    return answer.map(|done| Executed { left, ..done });
+                }
             }
         }
     }

@@ -24,14 +24,13 @@ pub(super) const SHUTDOWN: Duration = Duration::from_secs(5);
 /// Time that a dropping thread waits for the host's end: components that hang are given up before.
 const DROPPED: Duration = Duration::from_secs(10);
 
-/// Longest wait for what the GCM has to put on record.
-const ON_RECORD: Duration = Duration::from_secs(1);
-
 /// Parts of a host to end, as far as they were started.
 pub(super) struct Running {
     pub(super) lcm: Option<Arc<LocalLcm>>,
     /// Its own GCM.
     pub(super) gcm: Option<Gcm>,
+    /// True: everything that the host was to be was there.
+    pub(super) is_up: bool,
     pub(super) uplink: Option<JoinHandle<()>>,
     pub(super) server: Option<Server>,
     pub(super) watch: Option<WatchHandle>,
@@ -62,8 +61,16 @@ impl Ending {
     /// The machine gives no more threads.
     pub(super) fn prepare(state: Arc<StateDir>) -> Result<Ending, HostError> {
         let threads = |e: std::io::Error| HostError::Threads { because: e.to_string() };
-        let nothing =
-            Running { lcm: None, gcm: None, uplink: None, server: None, watch: None, announced: None, state };
+        let nothing = Running {
+            lcm: None,
+            gcm: None,
+            is_up: false,
+            uplink: None,
+            server: None,
+            watch: None,
+            announced: None,
+            state,
+        };
         let running = Arc::new(Mutex::new(nothing));
         let (order, ordered) = mpsc::channel();
         let (tell, ended) = watch::channel(false);
@@ -111,12 +118,12 @@ impl Ending {
 
 async fn end(running: &Mutex<Running>, how: How) {
     let_go_of_descriptors();
-    let (lcm, gcm, uplink, server, watch, announced, state) = {
+    let (lcm, gcm, is_up, uplink, server, watch, announced, state) = {
         let mut r = running.lock();
         let r = &mut *r;
         let state = r.state.clone();
         let (lcm, gcm) = (r.lcm.take(), r.gcm.take());
-        (lcm, gcm, r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)
+        (lcm, gcm, r.is_up, r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)
     };
     if let Some(task) = &announced {
         task.abort();
@@ -125,12 +132,11 @@ async fn end(running: &Mutex<Running>, how: How) {
         lcm.shutdown(SHUTDOWN).await;
     }
     if let Some(gcm) = gcm {
-        if let Some(lcm) = &lcm {
+        if let Some(lcm) = lcm.as_ref().filter(|_| is_up) {
             // It ended in order: nothing of it is to come back.
-            gcm.left(lcm.process());
+            gcm.left(lcm.process(), 0);
         }
-        // A disk that hangs keeps nobody.
-        let _ = tokio::time::timeout(ON_RECORD, gcm.flush()).await;
+        gcm.close_journal().await;
     }
     drop(lcm);
     if let Some(task) = uplink {

@@ -96,6 +96,7 @@ impl Host {
         match done {
             Ok(()) => {
                 self.is_up = true;
+                self.ending.running().is_up = true;
                 Ok(self)
             }
             Err(e) => {
@@ -321,14 +322,11 @@ async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {
             let store = Box::new(RedbStore::new(&dir));
             Gcm::resume(GcmConfig { state: Some(dir), ..GcmConfig::default() }, store).await
         }
-        None => Gcm::start(GcmConfig::default()).await.map_err(StartError::from),
+        None => Gcm::start(GcmConfig::default()).await,
     };
     started.map_err(|e| match e {
         StartError::Store(e) => HostError::Journal(e),
         StartError::Threads(because) => HostError::Threads { because },
-        StartError::Ids(e) => {
-            HostError::StateUnwritable { dir: state.path().to_owned(), because: e.to_string() }
-        }
     })
 }
 

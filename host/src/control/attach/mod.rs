@@ -89,7 +89,8 @@ impl AttachService for AttachEdge {
         let (out, orders) = mpsc::channel(QUEUE);
         let first = match self.take_in(hello, &out).await {
             Ok(attached) => {
-                let Registered { epoch, term, revision, .. } = attached.registered;
+                let Registered { epoch, term, .. } = attached.registered;
+                let revision = self.gcm.revision_on_record();
                 tokio::spawn(attached.keep(inbound, out.clone(), self.open.clone()));
                 attach_response::Message::Registered(v1::Registered { epoch, term, revision })
             }
@@ -183,7 +184,7 @@ impl Attached {
                         continue;
                     }
                     sequence += 1;
-                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence, revision: self.gcm.graph().revision });
+                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence, revision: self.gcm.revision_on_record() });
                     // A full queue means it does not read: then its own lease ends.
                     let _ = out.try_send(Ok(message(beat)));
                 }

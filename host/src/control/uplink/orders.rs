@@ -25,6 +25,8 @@ use crate::lcm::{Invoke, Lcm, Lease, Order, Report};
 
 /// Longest time an order may take.
 const MOST: Duration = Duration::from_secs(60);
+/// Time in which an order has begun.
+const BEGUN: Duration = Duration::from_millis(100);
 /// Time to take one back.
 const UNDO: Duration = Duration::from_secs(2);
 
@@ -152,12 +154,13 @@ struct Turn {
     done: oneshot::Sender<()>,
 }
 
-/// Waits for the order before; the next one waits until what this returns is dropped.
+/// Waits a moment for the order before, which may not have begun yet: one that goes on is met by this one. The
+/// next order waits until what this returns is dropped.
 async fn come(turn: Option<Turn>) -> Option<oneshot::Sender<()>> {
     let Turn { before, done } = turn?;
     if let Some(before) = before {
         // Nothing is sent: it closes.
-        let _ = before.await;
+        let _ = tokio::time::timeout(BEGUN, before).await;
     }
     Some(done)
 }

@@ -7,7 +7,7 @@ use serde_json::json;
 use trocar_model::{PortId, Wanted, WantedComponent};
 
 use super::super::fate::Fate;
-use super::super::recording::fold;
+use super::super::recording::Past;
 use super::super::{Loaded, Record, Snapshot, Standing, StartError, Store, StoreError, Told, Unusable};
 use super::*;
 
@@ -42,7 +42,7 @@ impl Kept {
         let held = self.0.lock();
         let loaded = Loaded { snapshot: held.snapshot.clone(), records: held.records.clone() };
         drop(held);
-        fold(loaded).snapshot.wanted
+        Past::of(loaded).wanted
     }
 
     fn texts(&self) -> Vec<String> {
