@@ -4948,7 +4948,7 @@ pub struct Registered {
     /// Incarnation of the GCM.
     #[prost(uint64, tag = "2")]
     pub term: u64,
-    /// Revision of the graph.
+    /// Revision that is on record: a GCM that is started again and knows a lower one has lost some.
     #[prost(uint64, tag = "3")]
     pub revision: u64,
 }
@@ -4958,7 +4958,7 @@ pub struct Heartbeat {
     /// Counts up.
     #[prost(uint64, tag = "1")]
     pub sequence: u64,
-    /// From the GCM: revision of the graph.
+    /// From the GCM: revision that is on record.
     #[prost(uint64, tag = "2")]
     pub revision: u64,
 }
