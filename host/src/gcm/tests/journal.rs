@@ -24,6 +24,10 @@ struct In {
     /// All records ever.
     all: Vec<Record>,
     fails: Option<Unusable>,
+    /// It panics at the next record.
+    breaks: bool,
+    /// It holds the thread as long as somebody has the other end.
+    hangs: Option<std::sync::mpsc::Receiver<()>>,
 }
 
 impl Kept {
@@ -59,6 +63,14 @@ impl Store for Kept {
     }
 
     fn append(&mut self, records: &[Record]) -> Result<(), StoreError> {
+        let (breaks, hangs) = {
+            let mut held = self.0.lock();
+            (held.breaks, held.hangs.take())
+        };
+        if let Some(hangs) = hangs {
+            let _ = hangs.recv();
+        }
+        assert!(!breaks, "a store that breaks");
         self.state()?;
         self.0.lock().records.extend_from_slice(records);
         self.0.lock().all.extend_from_slice(records);
@@ -394,7 +406,7 @@ async fn at_rest_what_is_wanted_is_what_the_graph_has_and_the_store_tells() {
     let live = gcm.inner.ledger.wanted().clone();
     assert_eq!(store.wanted(), live);
     let mut seen = desired(&gcm.graph());
-    seen.decision = live.decision;
+    (seen.term, seen.decision) = (live.term, live.decision);
     seen.next_connection = live.next_connection;
     seen.processes.clone_from(&live.processes);
     for (id, component) in &mut seen.components {
@@ -403,4 +415,180 @@ async fn at_rest_what_is_wanted_is_what_the_graph_has_and_the_store_tells() {
     }
     assert_eq!(live, seen);
     drop((host, other));
+}
+
+#[tokio::test]
+async fn what_was_begun_is_taken_away_also_where_something_is_missing() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let (mut a, mut b) = (Process::come(&first, "a").await, Process::come(&first, "b").await);
+    ask(&first, vec![create("a/arm"), create("a/cam")]).await.unwrap();
+    b.lcm.hold("Create b/new");
+    let removes = Request::Remove { id: id("a/cam"), force: true };
+    let begun = vec![removes, create("a/new"), start("a/new"), start("a/arm"), create("b/new")];
+    let asking = tokio::spawn({
+        let first = first.clone();
+        async move { ask(&first, begun).await }
+    });
+    b.lcm.hangs("Create b/new").await;
+    assert_eq!(a.lcm.state("a/arm"), Some(State::Active));
+    a.was_told(&first.graph());
+    b.was_told(&first.graph());
+    asking.abort();
+    let _ = asking.await;
+    drop(first);
+    let second = gcm_with(&store).await;
+    a.is_back(&second).await;
+    b.is_back(&second).await;
+    let whole = |graph: &SystemGraph| graph.processes[&name("a")].state == ProcessState::Attached;
+    until(&second, "all is as it was decided", |graph| whole(graph) && a.lcm.state("a/new").is_none()).await;
+    assert_eq!(a.lcm.state("a/cam"), Some(State::Ready), "it is made again");
+    assert_eq!(a.lcm.state("a/arm"), Some(STOPPED), "nobody was told that it moves");
+}
+
+#[tokio::test]
+async fn a_journal_that_is_behind_believes_each_process_that_knows_more() {
+    let (full, store) = (Kept::default(), Kept::default());
+    let first = gcm_with(&full).await;
+    let (mut a, mut b) = (Process::come(&first, "a").await, Process::come(&first, "b").await);
+    ask(&first, vec![create("a/old"), create("b/old")]).await.unwrap();
+    first.flush().await;
+    {
+        let (mut old, full) = (store.0.lock(), full.0.lock());
+        old.records.clone_from(&full.records);
+    }
+    ask(&first, vec![create("a/new"), create("b/new"), connect("b/new/input", "a/new/value")]).await.unwrap();
+    ask(&first, vec![start("a/new"), start("b/new")]).await.unwrap();
+    let before = first.graph();
+    for process in [&mut a, &mut b] {
+        process.was_told(&before);
+        process.who.revision = before.revision;
+    }
+    drop(first);
+    let second = gcm_with(&store).await;
+    assert_eq!(second.graph().components.len(), 2, "it knows less");
+    a.is_back(&second).await;
+    b.is_back(&second).await;
+    let all = |graph: &SystemGraph| graph.connections == before.connections && graph.components.len() == 4;
+    until(&second, "what both know is there", all).await;
+    second.flush().await;
+    for (process, path) in [(&a, "a/new"), (&b, "b/new")] {
+        assert_eq!(process.lcm.state(path), Some(State::Active), "{:?}", process.lcm.done());
+    }
+    assert_eq!(second.graph().revision, before.revision);
+}
+
+#[tokio::test]
+async fn a_start_that_a_stop_has_overtaken_is_no_grant() {
+    let store = Kept::default();
+    let gcm = gcm_with(&store).await;
+    let host = Process::come(&gcm, "host").await;
+    ask(&gcm, vec![create("host/a"), create("host/b")]).await.unwrap();
+    host.lcm.hold("Start host/b");
+    let starting = tokio::spawn({
+        let gcm = gcm.clone();
+        async move { ask(&gcm, vec![start("host/a"), start("host/b")]).await }
+    });
+    host.lcm.hangs("Start host/b").await;
+    ask(&gcm, vec![stop("host/a")]).await.unwrap();
+    host.lcm.release("Start host/b");
+    starting.await.unwrap().unwrap();
+    gcm.flush().await;
+    let wanted = store.wanted();
+    let state =
+        |path: &str| (wanted.components[&id(path)].state, wanted.components[&id(path)].grant.is_some());
+    assert_eq!((state("host/a"), state("host/b")), ((STOPPED, false), (State::Active, true)));
+}
+
+#[tokio::test]
+async fn what_could_not_be_taken_back_is_wanted() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let mut host = Process::come(&first, "host").await;
+    host.lcm.refuse("Create host/b");
+    host.lcm.refuse("Remove host/a");
+    ask(&first, vec![create("host/a"), create("host/b")]).await.unwrap_err();
+    assert_eq!(shown(&first.graph()), ["host/a CREATED Ok"], "it could not be taken back");
+    let configure = Request::Configure { id: id("host/a"), patch: json!({ "gain": 2.0 }), execution: None };
+    ask(&first, vec![configure, start("host/a")]).await.unwrap();
+    host.was_told(&first.graph());
+    first.flush().await;
+    drop(first);
+    let second = gcm_with(&store).await;
+    host.is_back(&second).await;
+    second.flush().await;
+    assert_eq!(shown(&second.graph()), ["host/a ACTIVE Ok"]);
+    assert_eq!(host.lcm.state("host/a"), Some(State::Active));
+}
+
+#[tokio::test]
+async fn what_failed_is_on_record() {
+    let store = Kept::default();
+    let gcm = gcm_with(&store).await;
+    let host = Process::come(&gcm, "host").await;
+    ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+    host.lcm.become_state("host/a", State::Fault, "it broke");
+    until(&gcm, "it is seen", |graph| component(graph, "host/a").state == State::Fault).await;
+    let is_noted = || gcm.inner.ledger.wanted().components[&id("host/a")].grant.is_none();
+    let mut watchdog = crate::watchdog::Watchdog::of("its failure to be noted");
+    while !is_noted() {
+        watchdog.saw("it has its grant");
+        tokio::task::yield_now().await;
+    }
+    gcm.flush().await;
+    assert_eq!(store.wanted().components[&id("host/a")].state, State::Fault);
+}
+
+#[tokio::test]
+async fn a_component_of_another_class_than_was_decided_is_made_anew() {
+    let store = Kept::default();
+    let first = gcm_with(&store).await;
+    let mut host = Process::come(&first, "host").await;
+    ask(&first, vec![create("host/a"), create("host/b"), connect("host/b/input", "host/a/value")])
+        .await
+        .unwrap();
+    let before = first.graph();
+    host.was_told(&before);
+    // A request that was not decided has made it anew, of a newer plugin.
+    for (_, component) in host.who.slice.components.iter_mut().filter(|(path, _)| *path == id("host/a")) {
+        let class = trocar_model::ClassInfo { hash: "01".into(), ..(*component.class).clone() };
+        component.class = Arc::new(class);
+    }
+    first.flush().await;
+    drop(first);
+    let second = gcm_with(&store).await;
+    host.is_back(&second).await;
+    let asked = |what: &str| host.lcm.done().iter().filter(|d| *d == what).count();
+    let again = |graph: &SystemGraph| graph.processes[&name("host")].state == ProcessState::Attached;
+    until(&second, "it is made anew", |graph| again(graph) && asked("Create host/a") == 2).await;
+    assert_eq!((asked("Remove host/a"), asked("Create host/b")), (1, 1), "{:?}", host.lcm.done());
+    assert_eq!(second.graph().connections, before.connections);
+    assert_eq!(asked("Connect host/b/input to host/a/value"), 2, "{:?}", host.lcm.done());
+}
+
+#[tokio::test]
+async fn a_store_that_breaks_or_hangs_keeps_nobody_waiting() {
+    for breaks in [true, false] {
+        let store = Kept::default();
+        let gcm = gcm_with(&store).await;
+        Process::come(&gcm, "host").await;
+        let (release, hangs) = std::sync::mpsc::channel::<()>();
+        {
+            let mut held = store.0.lock();
+            held.breaks = breaks;
+            held.hangs = (!breaks).then_some(hangs);
+        }
+        ask(&gcm, vec![create("host/a")]).await.unwrap();
+        assert!(matches!(&*gcm.journal().borrow(), Standing::Behind { .. }), "breaks: {breaks}");
+        ask(&gcm, vec![stop("host/a")]).await.unwrap();
+        drop(release);
+        if !breaks {
+            let mut standing = gcm.journal();
+            comes("it is written", standing.wait_for(|standing| *standing == Standing::Written))
+                .await
+                .unwrap();
+            gcm.flush().await;
+            assert_eq!(store.wanted().components.len(), 1);
+        }
+    }
 }

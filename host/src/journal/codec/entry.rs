@@ -60,9 +60,7 @@ pub(super) fn entry_in(entry: Option<E>, changes: Vec<Change>, known: &Known) ->
             components: e.components.into_iter().map(|c| known.component(c)).collect::<Result<_, _>>()?,
             connections: e.connections.into_iter().map(connection_in).collect::<Result<_, _>>()?,
         },
-        E::Gone(e) => {
-            Entry::Gone { revision: e.revision, process: Name::parse(&e.process)?, epoch: e.epoch }
-        }
+        E::Gone(e) => Entry::Gone { revision: e.revision, process: Name::parse(&e.process)?, epoch: e.epoch },
         E::Failed(e) => Entry::Failed { component: ComponentId::parse(&e.component)? },
         E::Noted(_) => Entry::Noted,
     })
