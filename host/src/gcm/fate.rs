@@ -114,7 +114,7 @@ fn never_seen(pid: u32) -> Process {
 impl Gcm {
     /// Puts on record that a process was taken out of the system, with all it had.
     pub(crate) fn left(&self, process: &Name) {
-        self.enter(Entry::Gone { revision: self.graph().revision, process: process.clone() });
+        self.enter(Entry::Gone { revision: self.graph().revision, process: process.clone(), epoch: 0 });
     }
 }
 

@@ -45,6 +45,7 @@ fn kind(entry: &Entry) -> &'static str {
         Entry::Came { .. } => "came",
         Entry::Brought { .. } => "brought",
         Entry::Gone { .. } => "gone",
+        Entry::Failed { .. } => "failed",
         Entry::Noted => "noted",
     }
 }

@@ -31,7 +31,9 @@ pub fn lines(record: &Record) -> Vec<String> {
             });
             brought.chain(connected).collect()
         }
-        Entry::Gone { process, .. } => vec![format!("- process {process} is gone")],
+        Entry::Gone { process, epoch: 0, .. } => vec![format!("- process {process} is gone")],
+        Entry::Gone { process, epoch, .. } => vec![format!("- process {process} is gone (epoch {epoch})")],
+        Entry::Failed { component } => vec![format!("- {component} failed")],
         Entry::Noted => Vec::new(),
     };
     if let Some(Ok(done)) = &record.answer {
@@ -48,7 +50,7 @@ pub fn revision(record: &Record) -> Option<u64> {
         | Entry::Cut { revision, .. }
         | Entry::Brought { revision, .. }
         | Entry::Gone { revision, .. } => Some(*revision),
-        Entry::Came { .. } | Entry::Noted => None,
+        Entry::Came { .. } | Entry::Failed { .. } | Entry::Noted => None,
     }
 }
 

@@ -17,7 +17,10 @@ use crate::gcm::{Loaded, Store};
 /// The fold of all that was loaded.
 fn fold(loaded: &Loaded) -> Wanted {
     let mut wanted = loaded.snapshot.wanted.clone();
-    loaded.records.iter().for_each(|record| wanted.on(&record.entry));
+    for record in &loaded.records {
+        wanted.on(&record.entry);
+        wanted.term = wanted.term.max(record.term);
+    }
     wanted
 }
 

@@ -67,7 +67,7 @@ pub struct Record {
     #[prost(message, repeated, tag = "10")]
     pub changes: ::prost::alloc::vec::Vec<Change>,
     /// What was decided.
-    #[prost(oneof = "record::Entry", tags = "16, 17, 18, 19, 20, 21, 22")]
+    #[prost(oneof = "record::Entry", tags = "16, 17, 18, 19, 20, 21, 22, 23")]
     pub entry: ::core::option::Option<record::Entry>,
 }
 /// Nested message and enum types in `Record`.
@@ -90,12 +90,15 @@ pub mod record {
         /// A process came with what it has.
         #[prost(message, tag = "20")]
         Brought(super::Brought),
-        /// A process was taken down, or forgotten.
+        /// An incarnation of a process was taken down, or forgotten.
         #[prost(message, tag = "21")]
         Gone(super::Gone),
         /// Nothing changed.
         #[prost(message, tag = "22")]
         Noted(super::Noted),
+        /// A component failed.
+        #[prost(message, tag = "23")]
+        Failed(super::Failed),
     }
 }
 /// The fold of all records up to one of them.
@@ -134,6 +137,9 @@ pub struct Snapshot {
     /// Answers that may still be asked for again.
     #[prost(message, repeated, tag = "11")]
     pub answers: ::prost::alloc::vec::Vec<Remembered>,
+    /// The last incarnation of the GCM.
+    #[prost(uint64, tag = "12")]
+    pub term: u64,
 }
 /// An answer that is kept by the id of its request.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -201,14 +207,14 @@ pub struct Done {
     pub reports: ::prost::alloc::vec::Vec<super::super::v1::ComponentReport>,
     /// Targets of a Stop that could not be stopped.
     #[prost(message, repeated, tag = "4")]
-    pub failed: ::prost::alloc::vec::Vec<Failed>,
+    pub failed: ::prost::alloc::vec::Vec<NotStopped>,
     /// Differences from a system file that no request ends.
     #[prost(string, repeated, tag = "5")]
     pub left: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// A target that could not be stopped.
 #[derive(Clone, PartialEq, ::prost::Message)]
-pub struct Failed {
+pub struct NotStopped {
     /// Path or glob.
     #[prost(string, tag = "1")]
     pub target: ::prost::alloc::string::String,
@@ -336,7 +342,7 @@ pub struct Brought {
     #[prost(message, repeated, tag = "4")]
     pub connections: ::prost::alloc::vec::Vec<super::super::v1::DesiredConnection>,
 }
-/// A process was taken down, or forgotten, with all that it had.
+/// An incarnation of a process was taken down, or forgotten, with all that it had.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Gone {
     /// Revision after it.
@@ -345,6 +351,16 @@ pub struct Gone {
     /// Name of the process.
     #[prost(string, tag = "2")]
     pub process: ::prost::alloc::string::String,
+    /// Its incarnation, by the GCM's number; 0: whichever there was.
+    #[prost(uint64, tag = "3")]
+    pub epoch: u64,
+}
+/// A component failed: it runs no more until somebody resets it.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct Failed {
+    /// Path, process/component.
+    #[prost(string, tag = "1")]
+    pub component: ::prost::alloc::string::String,
 }
 /// Nothing changed: a request was refused, or a GCM began.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

@@ -36,7 +36,7 @@ pub(super) fn answer(answer: &Answer) -> wire::Answer {
 fn done(e: &Executed) -> wire::Done {
     let skipped = |s: &Skipped| v1::SkippedComponent { path: s.id.to_string(), why: s.why.clone() };
     let portless = |r: &Report| report(&Report { ports: None, ..r.clone() });
-    let failed = |(target, why): &(Target, Refusal)| wire::Failed {
+    let failed = |(target, why): &(Target, Refusal)| wire::NotStopped {
         target: target.to_string(),
         refused: Some(refusal_info(why)),
     };
@@ -61,7 +61,7 @@ pub(super) fn answer_in(answer: wire::Answer, changes: Vec<Change>) -> Result<An
 
 fn done_in(d: wire::Done, changes: Vec<Change>) -> Result<Executed, Refusal> {
     let skipped = |s: v1::SkippedComponent| Ok(Skipped { id: ComponentId::parse(&s.path)?, why: s.why });
-    let failed = |f: wire::Failed| {
+    let failed = |f: wire::NotStopped| {
         let why = refusal(&f.refused.ok_or_else(|| unreadable("refused"))?);
         Ok((Target::parse(&f.target)?, why))
     };

@@ -2,7 +2,7 @@
 //!
 //! Invariant: an entry of a kind that is not known is refused; nothing is left out of the fold.
 
-use trocar_model::{Change, ConnectionId, Entry, Incarnation, Name, Refusal, Target};
+use trocar_model::{Change, ComponentId, ConnectionId, Entry, Incarnation, Name, Refusal, Target};
 use trocar_proto::journal::v1 as wire;
 use wire::record::Entry as E;
 
@@ -30,9 +30,10 @@ pub(super) fn entry(entry: &Entry, classes: &mut Classes) -> E {
             components: components.iter().map(|(id, c)| classes.component(id, c)).collect(),
             connections: connections.iter().map(connection_out).collect(),
         }),
-        Entry::Gone { revision, process } => {
-            E::Gone(wire::Gone { revision: *revision, process: process.to_string() })
+        Entry::Gone { revision, process, epoch } => {
+            E::Gone(wire::Gone { revision: *revision, process: process.to_string(), epoch: *epoch })
         }
+        Entry::Failed { component } => E::Failed(wire::Failed { component: component.to_string() }),
         Entry::Noted => E::Noted(wire::Noted {}),
     }
 }
@@ -59,7 +60,8 @@ pub(super) fn entry_in(entry: Option<E>, changes: Vec<Change>, known: &Known) ->
             components: e.components.into_iter().map(|c| known.component(c)).collect::<Result<_, _>>()?,
             connections: e.connections.into_iter().map(connection_in).collect::<Result<_, _>>()?,
         },
-        E::Gone(e) => Entry::Gone { revision: e.revision, process: Name::parse(&e.process)? },
+        E::Gone(e) => Entry::Gone { revision: e.revision, process: Name::parse(&e.process)?, epoch: e.epoch },
+        E::Failed(e) => Entry::Failed { component: ComponentId::parse(&e.component)? },
         E::Noted(_) => Entry::Noted,
     })
 }

@@ -24,7 +24,8 @@ pub(in crate::journal) struct Folded {
 /// Encodes a snapshot of all records up to that one.
 pub(in crate::journal) fn snapshot(snapshot: &Snapshot, number: u64, hash: &Hash) -> Vec<u8> {
     let mut classes = Classes::default();
-    let Wanted { revision, next_connection, decision, components, connections, processes } = &snapshot.wanted;
+    let Wanted { revision, term, next_connection, decision, components, connections, processes } =
+        &snapshot.wanted;
     let components = components.iter().map(|(id, c)| classes.component(id, c)).collect();
     let answers = snapshot.answers.iter().map(|a| remembered(a, &mut classes)).collect();
     let message = wire::Snapshot {
@@ -34,6 +35,7 @@ pub(in crate::journal) fn snapshot(snapshot: &Snapshot, number: u64, hash: &Hash
         revision: *revision,
         next_connection: *next_connection,
         decision: *decision,
+        term: *term,
         classes: classes.out(),
         components,
         connections: connections.values().map(connection_out).collect(),
@@ -68,6 +70,7 @@ fn read_snapshot(message: wire::Snapshot) -> Result<Snapshot, Refusal> {
     let connections = message.connections.into_iter().map(|c| connection_in(c).map(|c| (c.id, c)));
     let wanted = Wanted {
         revision: message.revision,
+        term: message.term,
         next_connection: message.next_connection,
         decision: message.decision,
         components: components.collect::<Result<_, _>>()?,

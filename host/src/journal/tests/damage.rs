@@ -120,7 +120,7 @@ fn a_record_that_was_put_in_place_of_another_breaks_the_chain() {
     let (_, ended, _) = written();
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join(FILE);
-    for (number, found) in [(7_u64, 7), (10, 10), (2, 3)] {
+    for (number, found) in [(7_u64, 7), (11, 11), (2, 3)] {
         fs::write(&file, &ended).unwrap();
         let database = redb::Database::open(&file).unwrap();
         let txn = database.begin_write().unwrap();
@@ -135,7 +135,7 @@ fn a_record_that_was_put_in_place_of_another_breaks_the_chain() {
         txn.commit().unwrap();
         drop(database);
         let fault = View::open(dir.path()).unwrap().verify().unwrap_err();
-        let after = if number == 10 { 10 } else { number + 1 };
+        let after = if number == 11 { 11 } else { number + 1 };
         assert!([found, after].contains(&fault.record.unwrap()), "record {number}: {fault:?}");
         let load = RedbStore::new(dir.path()).load();
         // Records that the snapshot folds are for the audit alone.

@@ -61,9 +61,9 @@ fn write(dir: &Path) {
     let mut store = RedbStore::new(dir);
     store.load().unwrap();
     store.append(&records[..2]).unwrap();
-    store.append(&records[2..7]).unwrap();
-    store.keep(&kinds::snapshot(&records[..7])).unwrap();
-    store.append(&records[7..]).unwrap();
+    store.append(&records[2..8]).unwrap();
+    store.keep(&kinds::snapshot(&records[..8])).unwrap();
+    store.append(&records[8..]).unwrap();
 }
 
 /// The fold as a text that stays when types get more fields.
@@ -87,6 +87,7 @@ fn said(wanted: &Wanted) -> Value {
         .map(|(name, it)| (name.to_string(), json!([format!("{:032x}", it.instance), it.epoch])));
     json!({
         "revision": wanted.revision,
+        "term": wanted.term,
         "next_connection": wanted.next_connection,
         "decision": wanted.decision,
         "components": components.collect::<serde_json::Map<_, _>>(),

@@ -171,10 +171,11 @@ pub(super) fn records() -> Vec<Record> {
             Some(asked("", r#"{"stop":{"paths":["host/**","left/a"]}}"#)),
             Some(done(4, stopped)),
         ),
+        (Entry::Failed { component: id("left/a") }, None, None),
         (Entry::Cut { revision: 5, connections: vec![ConnectionId(9), ConnectionId(5)] }, None, None),
         (Entry::Changed { revision: 6, decision: 3, changes: changes()[4..5].to_vec() }, None, None),
         (
-            Entry::Gone { revision: 7, process: Name::parse("left").unwrap() },
+            Entry::Gone { revision: 7, process: Name::parse("left").unwrap(), epoch: 12 },
             Some(asked("", r#"{"forget":{"process":"left"}}"#)),
             Some(done(7, Vec::new())),
         ),
@@ -198,6 +199,7 @@ pub(super) fn records() -> Vec<Record> {
 pub(super) fn snapshot(records: &[Record]) -> Snapshot {
     let mut wanted = Wanted::default();
     records.iter().for_each(|record| wanted.on(&record.entry));
+    wanted.term = records.last().map_or(0, |record| record.term);
     let remembered = |record: &Record| {
         let asked = record.asked.clone()?;
         Some(Remembered { wall_ns: record.wall_ns, asked, answer: record.answer.clone()? })
@@ -264,7 +266,7 @@ fn a_class_that_many_components_have_is_written_once_and_ports_of_reports_are_no
 
 proptest::proptest! {
     #[test]
-    fn bytes_that_are_no_record_are_refused_without_a_panic(at in 0usize..10, byte: proptest::sample::Index, bit in 0u8..8) {
+    fn bytes_that_are_no_record_are_refused_without_a_panic(at in 0usize..11, byte: proptest::sample::Index, bit in 0u8..8) {
         let mut bytes = codec::record(&records()[at], 1, &Hash::of(b""));
         let place = byte.index(bytes.len());
         bytes[place] ^= 1 << bit;
