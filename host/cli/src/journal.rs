@@ -163,9 +163,10 @@ fn failure(fault: Fault) -> Failure {
              it away: a GCM begins a new journal where there is none",
         ),
         Unusable::Newer => ("JOURNAL_NEWER", "use the release of trocar that wrote it; the file is unharmed"),
-        Unusable::Now | Unusable::InUse | Unusable::NotSynced => {
-            ("JOURNAL_UNREADABLE", "look at the directory and its rights, or name another one: --state DIR")
-        }
+        Unusable::Now | Unusable::InUse | Unusable::NotSynced => (
+            "JOURNAL_UNREADABLE",
+            "look at the file and the rights of its directory, or name another one: --state DIR",
+        ),
     };
     let mut failure = Failure::local(reason, fault.error.to_string(), help);
     failure.metadata.insert("file".to_owned(), fault.error.file.display().to_string());

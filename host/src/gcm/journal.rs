@@ -97,7 +97,8 @@ impl std::error::Error for StoreError {}
 
 /// A place for records that outlives the process. It blocks: it is used on a thread of its own.
 pub trait Store: Send {
-    /// Returns all that is there.
+    /// Returns all that is there, also where it can be read and not written; records are then added as soon
+    /// as it can be.
     ///
     /// # Errors
     /// It cannot be read, or not understood. What is there stays as it is.
@@ -106,11 +107,16 @@ pub trait Store: Send {
     /// Makes records durable: all of them, or none.
     ///
     /// # Errors
-    /// They cannot be written. After `Unusable::Now` the same can be tried again.
+    /// They cannot be written. After `Unusable::Now` the same can be tried again; where the journal was
+    /// removed or never loaded, or has as many records as it takes, only after a [`Store::keep`].
     fn append(&mut self, records: &[Record]) -> Result<(), StoreError>;
 
     /// Keeps the fold of all records so far, so that later loads are short; older records may go, beyond what
     /// the audit keeps.
+    ///
+    /// It begins another journal where the one before cannot be gone on with: the file or its directory was
+    /// removed, or the store was never loaded. A file that was never loaded is put aside, unless it is
+    /// damaged, of a later release, or in use. The snapshot is all that the other journal has.
     ///
     /// # Errors
     /// As [`Store::append`].

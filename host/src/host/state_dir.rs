@@ -22,8 +22,6 @@ use crate::journal;
 use crate::runtime_dir::state_home;
 
 const LOCK: &str = "lock";
-/// The journal before the present one.
-const OLD_JOURNAL: &str = "journal.redb.old";
 /// A process has locked its directory this long after making it.
 const STARTING: Duration = Duration::from_secs(60);
 /// Beginning of the names of ephemeral directories.
@@ -136,19 +134,15 @@ impl StateDir {
     }
 
     /// Forgets everything but the counters that must never go back (`gcm.json`: term and epochs fence
-    /// old processes), and puts the journal aside.
+    /// old processes) and old journals, and puts the journal aside.
     fn clear(&self) -> Result<(), HostError> {
         let unwritable =
             |e: std::io::Error| HostError::StateUnwritable { dir: self.path.clone(), because: e.to_string() };
         for entry in fs::read_dir(&self.path).map_err(unwritable)? {
             let entry = entry.map_err(unwritable)?;
             let name = entry.file_name();
-            if name == journal::FILE {
-                // It is the audit, too.
-                fs::rename(entry.path(), self.path.join(OLD_JOURNAL)).map_err(unwritable)?;
-                continue;
-            }
-            if name == LOCK || name == "gcm.json" || name == OLD_JOURNAL {
+            // Journals are the audit, too.
+            if name == LOCK || name == "gcm.json" || name == journal::FILE || journal::is_aside(&name) {
                 continue;
             }
             let gone = match entry.file_type().map_err(unwritable)?.is_dir() {
@@ -156,6 +150,11 @@ impl StateDir {
                 false => fs::remove_file(entry.path()),
             };
             gone.or_else(|e| if e.kind() == ErrorKind::NotFound { Ok(()) } else { Err(unwritable(e)) })?;
+        }
+        match journal::put_aside(&self.path) {
+            Ok(aside) => log::info!("the journal is begun anew: the one before it is {}", aside.display()),
+            Err(e) if e.kind() == ErrorKind::NotFound => {}
+            Err(e) => return Err(unwritable(e)),
         }
         Ok(())
     }
@@ -275,6 +274,32 @@ mod tests {
         let mut left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
         left.sort();
         assert_eq!(left, ["gcm.json", "lock"]);
+    }
+
+    #[test]
+    fn fresh_puts_each_journal_aside_and_keeps_the_last_eight() {
+        let temp = tempfile::tempdir().unwrap();
+        let choice = StateChoice::Durable(temp.path().to_owned());
+        let aside = |number: u32| temp.path().join(format!("{}.old-{number}", journal::FILE));
+        for number in 1..=10 {
+            fs::write(temp.path().join(journal::FILE), format!("journal {number}")).unwrap();
+            StateDir::open(&choice, true).unwrap();
+            assert!(!temp.path().join(journal::FILE).exists());
+            // Without a journal there is nothing to put aside.
+            StateDir::open(&choice, true).unwrap();
+            for kept in 1..=number {
+                let text = fs::read_to_string(aside(kept)).ok();
+                assert_eq!(
+                    text,
+                    (kept + 8 > number).then(|| format!("journal {kept}")),
+                    "{kept} of {number}"
+                );
+            }
+            assert!(!aside(number + 1).exists());
+        }
+        fs::write(temp.path().join("journal.redb.old-new"), "").unwrap();
+        StateDir::open(&choice, true).unwrap();
+        assert!(!temp.path().join("journal.redb.old-new").exists(), "it is no journal");
     }
 
     #[test]

@@ -49,11 +49,13 @@ pub(super) struct Head {
     pub(super) bytes: u64,
 }
 
-/// What the audit keeps of records that a snapshot folds.
+/// What the audit keeps of records that a snapshot folds, and how many there may be before.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     pub(super) records: u64,
     pub(super) bytes: u64,
+    /// Bytes of all records up to which more are added.
+    pub(super) unfolded: u64,
 }
 
 /// Identity and head.
@@ -65,8 +67,8 @@ pub(super) struct Frame {
     origin: Hash,
 }
 
-/// Makes the tables of a new journal.
-pub(super) fn lay(txn: &WriteTransaction, identity: &Identity) -> Res<()> {
+/// Makes the tables of a new journal, and returns their head.
+pub(super) fn lay(txn: &WriteTransaction, identity: &Identity) -> Res<Head> {
     let message = wire::Identity {
         schema: SCHEMA,
         id: identity.id.to_be_bytes().to_vec(),
@@ -76,7 +78,9 @@ pub(super) fn lay(txn: &WriteTransaction, identity: &Identity) -> Res<()> {
     txn.open_table(RECORDS)?;
     txn.open_table(SNAPSHOTS)?;
     txn.open_table(JOURNAL)?.insert(IDENTITY, bytes.as_slice())?;
-    put_head(txn, &Head { number: 0, hash: Hash::of(&bytes), bytes: 0 })
+    let head = Head { number: 0, hash: Hash::of(&bytes), bytes: 0 };
+    put_head(txn, &head)?;
+    Ok(head)
 }
 
 /// Reads identity and head.
@@ -181,18 +185,24 @@ pub(super) fn walk(
     Ok(())
 }
 
-/// Adds encoded records behind the head, and returns the new one. `made` gives the bytes of a record by its
-/// number and the hash before it.
+/// Adds encoded records behind the head, and returns the new one, if all then have no more than `most` bytes.
+/// `made` gives the bytes of a record by its number and the hash before it.
 pub(super) fn add(
     txn: &WriteTransaction,
     head: &Head,
     count: usize,
+    most: u64,
     made: impl Fn(usize, u64, &Hash) -> Vec<u8>,
 ) -> Res<Head> {
     let mut head = *head;
     let mut table = txn.open_table(RECORDS)?;
     for at in 0..count {
         let bytes = made(at, head.number + 1, &head.hash);
+        if head.bytes + bytes.len() as u64 > most {
+            let why =
+                format!("its records would have more than {most} bytes: a snapshot has to be kept first");
+            return Err(Bad::now(why));
+        }
         table.insert(head.number + 1, bytes.as_slice())?;
         head =
             Head { number: head.number + 1, hash: Hash::of(&bytes), bytes: head.bytes + bytes.len() as u64 };
@@ -203,7 +213,17 @@ pub(super) fn add(
 }
 
 /// Puts a snapshot of all records in the place of the one before, and lets the oldest records go.
-pub(super) fn fold(txn: &WriteTransaction, head: &Head, snapshot: &[u8], bounds: Bounds) -> Res<Head> {
+pub(super) fn fold(txn: &WriteTransaction, head: &Head, snapshot: &Snapshot, bounds: Bounds) -> Res<Head> {
+    fold_encoded(txn, head, &codec::snapshot(snapshot, head.number, &head.hash), bounds)
+}
+
+/// The same with a snapshot as it is to lie in the file.
+pub(super) fn fold_encoded(
+    txn: &WriteTransaction,
+    head: &Head,
+    snapshot: &[u8],
+    bounds: Bounds,
+) -> Res<Head> {
     let mut snapshots = txn.open_table(SNAPSHOTS)?;
     while snapshots.pop_first()?.is_some() {}
     snapshots.insert(head.number, snapshot)?;

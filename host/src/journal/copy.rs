@@ -6,18 +6,22 @@
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 
 use redb::backends::InMemoryBackend;
 use redb::{Builder, Database, ReadableDatabase, StorageBackend};
 
-use super::contents;
+use super::chain::Hash;
+use super::contents::{self, Frame};
 use super::fault::{Bad, Res};
 use crate::gcm::Unusable;
 
-/// Longest file that is read, bytes: records are bounded, and a snapshot is as long as a system is large.
-const MOST: u64 = 1 << 30;
+/// Longest file that is read, bytes. No longer one is written, either.
+pub(super) const MOST: u64 = 2 << 30;
 /// Bytes that are read at a time.
 const PIECE: usize = 1 << 20;
+/// Copies that are made of a file that changes.
+const TRIES: usize = 20;
 /// Memory for pages, bytes.
 pub(super) const CACHE: usize = 8 << 20;
 
@@ -31,7 +35,8 @@ pub(super) fn read(file: &File) -> Res<Vec<u8>> {
         return Err(Bad::damaged("it is empty"));
     }
     if length > MOST {
-        return Err(Bad::damaged(format!("{length} bytes are more than any journal has")));
+        let why = format!("it has {length} bytes, and no more than {MOST} are read: put it aside");
+        return Err(Bad::now(why));
     }
     let mut bytes = vec![0; length as usize];
     for (at, piece) in bytes.chunks_mut(PIECE).enumerate() {
@@ -81,6 +86,24 @@ impl Drop for Copy {
     }
 }
 
+/// Reads a file without a lock, also while it is written: a damage that two copies have alike is in the file.
+pub(super) fn unlocked(path: &Path) -> Res<(Copy, Frame)> {
+    let mut seen: Option<Hash> = None;
+    for _ in 0..TRIES {
+        let bytes = read(&File::open(path).map_err(|e| Bad::of_disk(&e))?)?;
+        let looked = Copy::checked(&bytes).and_then(|copy| {
+            let frame = copy.look(contents::frame)?;
+            Ok((copy, frame))
+        });
+        let hash = Hash::of(&bytes);
+        match looked {
+            Err(bad) if bad.unusable == Unusable::Damaged && seen != Some(hash) => seen = Some(hash),
+            looked => return looked,
+        }
+    }
+    Err(Bad::now("it changes too fast to be read: try again"))
+}
+
 /// Finds the first bad record of a damaged file, if it can be opened at all without a check.
 fn first_bad(bytes: &[u8]) -> Option<Bad> {
     let copy = Copy::open(bytes, false).ok()?;
@@ -91,7 +114,12 @@ fn first_bad(bytes: &[u8]) -> Option<Bad> {
     walked.err().filter(|bad| bad.record.is_some() && bad.unusable == Unusable::Damaged)
 }
 
-/// Runs code of the database over bytes that may be damaged: it may panic over these, where it trusts them.
-pub(super) fn guarded<T>(run: impl FnOnce() -> Res<T>) -> Res<T> {
-    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| Err(Bad::damaged("its tables are damaged")))
+/// Runs code of the database over a copy, which may be damaged: it may panic over bytes that it trusts.
+fn guarded<T>(run: impl FnOnce() -> Res<T>) -> Res<T> {
+    caught(run, || Bad::damaged("its tables are damaged"))
+}
+
+/// Runs code of the database, and says `panicked` where it panics.
+pub(super) fn caught<T>(run: impl FnOnce() -> Res<T>, panicked: impl FnOnce() -> Bad) -> Res<T> {
+    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| Err(panicked()))
 }

@@ -1,15 +1,18 @@
 //! The file of a journal as the database writes it, with an eye on what the disk answers.
 //!
-//! Invariant: a failed sync is told apart from a failed write: after it nobody knows what is on the disk.
+//! Invariant: a failed sync is told apart from a failed write: after it nobody knows what is on the disk. A
+//! file never gets longer than one that is read.
 
 use std::fs::File;
-use std::io;
+use std::io::{self, ErrorKind};
 use std::ops::Bound;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use redb::backends::FileBackend;
 use redb::{BackendError, DatabaseError, StorageBackend};
+
+use super::copy::MOST;
 
 /// What the disk answered so far.
 #[derive(Debug, Default)]
@@ -26,6 +29,10 @@ pub(super) struct Faults {
     pub(super) write: parking_lot::Mutex<Option<(u32, i32)>>,
     /// The next sync fails with that error number.
     pub(super) sync: parking_lot::Mutex<Option<i32>>,
+    /// Writes that succeed before the next one panics once.
+    pub(super) panic: parking_lot::Mutex<Option<u32>>,
+    /// Files can only be read, with that error number for all else.
+    pub(super) unwritable: parking_lot::Mutex<Option<i32>>,
 }
 
 /// The file.
@@ -56,6 +63,15 @@ impl Disk {
 
     #[cfg(test)]
     fn fails_to_write(&self) -> io::Result<()> {
+        let mut panics = self.faults.panic.lock();
+        match panics.take() {
+            Some(0) => {
+                drop(panics);
+                panic!("a test has the database panic");
+            }
+            left => *panics = left.map(|left| left - 1),
+        }
+        drop(panics);
         let mut next = self.faults.write.lock();
         match *next {
             Some((0, error)) => {
@@ -98,6 +114,10 @@ impl StorageBackend for Disk {
 
     fn set_len(&self, len: u64) -> io::Result<()> {
         self.fails_to_write()?;
+        if len > MOST {
+            let why = format!("it would have {len} bytes, and no more than {MOST} are read");
+            return Err(io::Error::new(ErrorKind::StorageFull, why));
+        }
         self.file.set_len(len)
     }
 

@@ -3,6 +3,7 @@
 //! Invariant: the file alone says what was decided: each record holds the hash of the one before it, and what
 //! cannot be read whole is refused as it is, never guessed.
 
+mod aside;
 mod chain;
 mod codec;
 mod contents;
@@ -18,6 +19,7 @@ mod view;
 #[cfg(test)]
 mod tests;
 
+pub use aside::{is_aside, put_aside};
 pub use chain::Hash;
 pub use contents::{Identity, Kept};
 pub use fault::Fault;

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod anew;
 mod damage;
 mod golden;
 mod kinds;

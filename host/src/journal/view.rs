@@ -5,17 +5,12 @@
 //! A copy of a file that is being written may hold parts of two commits. Its checksums show that, and it is
 //! copied again; a damage that two copies have alike is in the file.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use super::contents::{self, Frame, Identity, Kept};
 use super::copy::{self, Copy};
 use super::fault::{Bad, Fault, Res};
 use super::{FILE, Hash, lines};
-use crate::gcm::Unusable;
-
-/// Copies that are made of a file that changes.
-const TRIES: usize = 20;
 
 /// A journal as it was at one moment.
 pub struct View {
@@ -49,7 +44,7 @@ impl View {
     /// There is none, it cannot be read, is damaged, or a later release wrote it.
     pub fn open(dir: &Path) -> Result<View, Fault> {
         let file = dir.join(FILE);
-        match look(&file) {
+        match copy::unlocked(&file) {
             Ok((copy, frame)) => Ok(View { file, copy, frame }),
             Err(bad) => Err(bad.of(&file)),
         }
@@ -81,23 +76,6 @@ impl View {
     pub fn verify(&self) -> Result<Verified, Fault> {
         self.copy.look(|txn| verified(txn, &self.frame)).map_err(|bad| bad.of(&self.file))
     }
-}
-
-fn look(file: &Path) -> Res<(Copy, Frame)> {
-    let mut seen: Option<Hash> = None;
-    for _ in 0..TRIES {
-        let bytes = copy::read(&File::open(file).map_err(|e| Bad::of_disk(&e))?)?;
-        let looked = Copy::checked(&bytes).and_then(|copy| {
-            let frame = copy.look(contents::frame)?;
-            Ok((copy, frame))
-        });
-        let hash = Hash::of(&bytes);
-        match looked {
-            Err(bad) if bad.unusable == Unusable::Damaged && seen != Some(hash) => seen = Some(hash),
-            looked => return looked,
-        }
-    }
-    Err(Bad::now("it changes too fast to be read: try again"))
 }
 
 fn verified(txn: &redb::ReadTransaction, frame: &Frame) -> Res<Verified> {

@@ -12,7 +12,7 @@ use super::super::{FILE, RedbStore, SCHEMA, View, codec};
 use super::{fold, kinds, loaded, said};
 use crate::gcm::{Loaded, Record, Snapshot, Store, Unusable};
 
-const ALL: Bounds = Bounds { records: 1000, bytes: 1 << 30 };
+const ALL: Bounds = Bounds { records: 1000, bytes: 1 << 30, unfolded: 1 << 30 };
 const ENOSPC: i32 = 28;
 const EIO: i32 = 5;
 
@@ -70,13 +70,17 @@ fn a_snapshot_takes_the_place_of_the_records_before_it() {
 #[test]
 fn the_oldest_records_go_when_a_snapshot_is_kept_and_the_audit_has_enough() {
     let (dir, records) = (tempfile::tempdir().unwrap(), kinds::records());
-    let mut store = RedbStore::new(dir.path()).with(Opener::default(), Bounds { records: 4, bytes: 1 << 30 });
+    let mut store = RedbStore::new(dir.path()).with(Opener::default(), Bounds { records: 4, ..ALL });
     store.load().unwrap();
     store.append(&records).unwrap();
     store.keep(&kinds::snapshot(&records)).unwrap();
     let verified = View::open(dir.path()).unwrap().verify().unwrap();
     assert_eq!((verified.records, verified.first, verified.last), (4, 8, 11));
+<<<<<<< HEAD
     let mut store = store.with(Opener::default(), Bounds { records: 4, bytes: 1 });
+=======
+    let mut store = store.with(Opener::default(), Bounds { records: 4, bytes: 1, ..ALL });
+>>>>>>> store2
     store.keep(&kinds::snapshot(&records)).unwrap();
     let verified = View::open(dir.path()).unwrap().verify().unwrap();
     assert_eq!((verified.records, verified.first, verified.last), (1, 11, 11));
@@ -188,7 +192,10 @@ fn another_journal_in_its_place_is_refused() {
 #[test]
 fn nothing_is_added_to_what_was_not_loaded() {
     let dir = tempfile::tempdir().unwrap();
-    RedbStore::new(dir.path()).append(&kinds::records()).unwrap();
+    let refused = RedbStore::new(dir.path()).append(&kinds::records()).unwrap_err();
+    assert_eq!(refused.unusable, Unusable::Now, "{refused}");
+    assert!(!dir.path().join(FILE).exists());
+    opened(dir.path()).append(&kinds::records()).unwrap();
     let refused = RedbStore::new(dir.path()).append(&kinds::records()).unwrap_err();
     assert_eq!(refused.unusable, Unusable::Now, "{refused}");
     assert_has(&loaded(dir.path()), &kinds::records());
@@ -198,9 +205,11 @@ fn nothing_is_added_to_what_was_not_loaded() {
 fn as_later(dir: &Path, write: impl FnOnce(&redb::WriteTransaction, &Head)) {
     let opener = Opener::default();
     let (open, head) = opener.open(&dir.join(FILE), |_, frame| Ok(frame.head)).unwrap();
-    let txn = open.database.begin_write().unwrap();
-    write(&txn, &head);
-    txn.commit().unwrap();
+    open.write(|txn| {
+        write(txn, &head);
+        Ok(())
+    })
+    .unwrap();
 }
 
 #[test]
@@ -214,13 +223,13 @@ fn what_a_later_release_wrote_is_refused_and_unharmed() {
                 let record = wire::Record::decode(bytes.as_slice()).unwrap();
                 wire::Record { schema: SCHEMA + 6, ..record }.encode_to_vec()
             };
-            contents::add(txn, head, 1, made).unwrap();
+            contents::add(txn, head, 1, u64::MAX, made).unwrap();
         },
         &|txn, head| {
             let bytes = codec::snapshot(&Snapshot::default(), head.number, &head.hash);
             let snapshot = wire::Snapshot::decode(bytes.as_slice()).unwrap();
             let bytes = wire::Snapshot { schema: SCHEMA + 6, ..snapshot }.encode_to_vec();
-            contents::fold(txn, head, &bytes, ALL).unwrap();
+            contents::fold_encoded(txn, head, &bytes, ALL).unwrap();
         },
     ];
     for write in later {
