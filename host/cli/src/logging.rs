@@ -25,6 +25,8 @@ const ROTATE_BYTES: u64 = 4 << 20;
 const FILE: &str = "trocar.log";
 /// Lines of components, apart from the process's own.
 const COMPONENTS: &str = "components.log";
+/// Who asked for what, alone: what else is said does not drive it out.
+const AUDIT: &str = "audit.log";
 
 /// Lines of the start that are kept for [`to_readers`].
 const EARLY: usize = 200;
@@ -34,6 +36,7 @@ static LOGGER: Logger = Logger {
     kept: Mutex::new(None),
     file: Mutex::new(None),
     components: Mutex::new(None),
+    audit: Mutex::new(None),
     readers: Mutex::new(Readers::Early(Vec::new())),
 };
 
@@ -43,6 +46,7 @@ struct Logger {
     kept: Mutex<Option<Kept>>,
     file: Mutex<Option<Rotating>>,
     components: Mutex<Option<Rotating>>,
+    audit: Mutex<Option<Rotating>>,
     readers: Mutex<Readers>,
 }
 
@@ -85,10 +89,11 @@ pub(super) fn install(shown: LevelFilter) {
     log::set_max_level(shown.max(LevelFilter::Info));
 }
 
-/// Also writes to `<dir>/trocar.log`, and what components say to `<dir>/components.log`; when one cannot be
-/// opened, says so and goes on.
+/// Also writes to `<dir>/trocar.log`, what components say to `<dir>/components.log`, and who asked for what to
+/// `<dir>/audit.log`, too; when one cannot be opened, says so and goes on.
 pub(super) fn to_file(dir: &Path) {
-    for (name, place) in [(FILE, &LOGGER.file), (COMPONENTS, &LOGGER.components)] {
+    let Logger { file, components, audit, .. } = &LOGGER;
+    for (name, place) in [(FILE, file), (COMPONENTS, components), (AUDIT, audit)] {
         let path = dir.join(name);
         match Rotating::open(path.clone()) {
             Ok(file) => *place.lock() = Some(file),
@@ -209,8 +214,11 @@ impl Log for Logger {
             "component" | "plugin" => &self.components,
             _ => &self.file,
         };
-        if let Some(file) = place.lock().as_mut() {
-            let _ = file.write(&dated);
+        let audit = (record.target() == "audit").then_some(&self.audit);
+        for place in std::iter::once(place).chain(audit) {
+            if let Some(file) = place.lock().as_mut() {
+                let _ = file.write(&dated);
+            }
         }
         // The LCM sends the log lines of components.
         if record.target() != "component" {

@@ -83,8 +83,9 @@ pub(super) struct Batch {
     pub(super) last: u64,
     /// The last revision that they lead to.
     pub(super) revision: u64,
-    /// Number of records before them that had to go, and what is wanted after them.
-    pub(super) dropped: Option<(u64, Wanted)>,
+    /// Number of records before them that had to go, and what is wanted after them: what the store has counts
+    /// no more.
+    pub(super) anew: Option<(u64, Wanted)>,
 }
 
 /// Returns the time of day, ns since 1970 (UTC).
@@ -169,14 +170,16 @@ impl Ledger {
         }
     }
 
-    /// Takes records that wait, at most so many and so many bytes; all of them, where others had to go.
-    pub(super) fn take(&self, (most, most_bytes): (usize, usize)) -> Batch {
+    /// Takes records that wait, at most so many and so many bytes. `anew`, and where others had to go: all of
+    /// them, and what is wanted after them.
+    pub(super) fn take(&self, (most, most_bytes): (usize, usize), anew: bool) -> Batch {
         let mut held = self.held.lock();
-        let dropped = (held.dropped > 0).then(|| (held.dropped, held.wanted.clone()));
+        let anew = (anew || held.dropped > 0) && !held.pending.is_empty();
+        let anew = anew.then(|| (held.dropped, held.wanted.clone()));
         let (mut records, mut bytes) = (Vec::new(), 0);
         while let Some(first) = held.pending.front() {
             let is_full = records.len() >= most || bytes >= most_bytes;
-            if dropped.is_none() && is_full {
+            if anew.is_none() && is_full {
                 break;
             }
             bytes += weight(first);
@@ -187,12 +190,12 @@ impl Ledger {
             true => held.wanted.revision,
             false => records.iter().filter_map(|record| record.entry.revision()).max().unwrap_or_default(),
         };
-        Batch { records, last: held.last - held.pending.len() as u64, revision, dropped }
+        Batch { records, last: held.last - held.pending.len() as u64, revision, anew }
     }
 
     /// Notes that the store has them.
     pub(super) fn written(&self, batch: &Batch) {
-        if let Some((dropped, _)) = &batch.dropped {
+        if let Some((dropped, _)) = &batch.anew {
             self.held.lock().dropped -= dropped;
         }
         self.revision.fetch_max(batch.revision, Ordering::Relaxed);

@@ -37,13 +37,15 @@ pub(super) struct Past {
     pub(super) answers: Answers,
     /// Records beside the snapshot of the store, and their bytes.
     beside: (usize, usize),
+    /// False: what the store has is not known.
+    is_loaded: bool,
 }
 
 impl Past {
     /// Folds what a store has.
     pub(super) fn of(Loaded { snapshot, records }: Loaded) -> Past {
         let Snapshot { wanted, answers } = snapshot;
-        let mut past = Past { wanted, ..Past::default() };
+        let mut past = Past { wanted, is_loaded: true, ..Past::default() };
         answers.into_iter().for_each(|answer| past.answers.put(answer));
         past.on(&records);
         past
@@ -74,7 +76,7 @@ impl Past {
 
     /// Brings records to the store.
     fn put(&mut self, store: &mut dyn Store, batch: &Batch) -> Result<(), StoreError> {
-        let Some((_, wanted)) = &batch.dropped else {
+        let Some((_, wanted)) = &batch.anew else {
             store.append(&batch.records)?;
             self.on(&batch.records);
             if self.is_long() {
@@ -115,19 +117,20 @@ impl Drop for Writing {
 
 /// Writes what waits each time the bell rings, until the GCM is gone.
 fn write(writing: &Writing, store: &mut dyn Store, bell: &mpsc::Receiver<()>, mut past: Past) {
-    let mut again = None;
+    let (mut again, mut anew) = (None, !past.is_loaded);
     loop {
         let is_last = !rung(bell, again.take());
         loop {
             let Some(inner) = writing.0.upgrade() else { return };
-            let batch = inner.ledger.take(BATCH);
+            let batch = inner.ledger.take(BATCH, anew);
             if batch.records.is_empty() {
                 break;
             }
             match past.put(store, &batch) {
                 Ok(()) => {
+                    anew = false;
                     inner.ledger.written(&batch);
-                    if let Some((number, _)) = batch.dropped {
+                    if let Some((number @ 1.., _)) = batch.anew {
                         let text =
                             format!("{number} records before this one are lost: the journal was behind");
                         let asked = Asked { text, ..Asked::default() };
@@ -140,6 +143,8 @@ fn write(writing: &Writing, store: &mut dyn Store, bell: &mpsc::Receiver<()>, mu
                     if e.unusable != Unusable::Now {
                         return;
                     }
+                    // The store may have been removed, or filled in the middle.
+                    anew = true;
                     again = Some(Instant::now() + AGAIN);
                     break;
                 }

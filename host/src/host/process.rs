@@ -8,6 +8,7 @@
 use std::future::pending;
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
@@ -316,7 +317,7 @@ fn offer_services(config: &HostConfig, lcm: &Arc<LocalLcm>, gcm: Option<&Gcm>) -
 }
 
 async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {
-    let dir = (!state.is_ephemeral()).then(|| state.path().to_owned());
+    let dir = state.lasting().map(Path::to_owned);
     let started = match dir {
         Some(dir) => {
             let store = Box::new(RedbStore::new(&dir));

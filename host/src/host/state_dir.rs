@@ -7,7 +7,7 @@
 use std::fs::{self, DirBuilder, File};
 use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::linux::net::SocketAddrExt;
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -40,6 +40,8 @@ pub enum StateChoice {
 #[derive(Debug)]
 pub struct StateDir {
     path: PathBuf,
+    /// The directory that this one stands in for.
+    asked_for: Option<PathBuf>,
     ephemeral: bool,
     /// True: the directory was not there before.
     made: bool,
@@ -58,15 +60,42 @@ struct Hold {
     _claim: Option<UnixDatagram>,
 }
 
+/// Why a directory is not opened.
+#[derive(Debug)]
+enum Unopened {
+    Refused(HostError),
+    /// Its disk cannot be written now.
+    Away(std::io::Error),
+}
+
+/// Tells whether the disk, and not the choice of the directory, is the reason.
+fn is_away(error: &std::io::Error, path: &Path) -> bool {
+    let is_mine = || {
+        fs::metadata(path).is_ok_and(|dir| dir.is_dir() && dir.uid() == rustix::process::geteuid().as_raw())
+    };
+    match error.kind() {
+        ErrorKind::ReadOnlyFilesystem | ErrorKind::StorageFull | ErrorKind::QuotaExceeded => true,
+        // Somebody took the right to write it.
+        ErrorKind::PermissionDenied => is_mine(),
+        _ => error.raw_os_error() == Some(rustix::io::Errno::IO.raw_os_error()),
+    }
+}
+
 impl StateDir {
     /// Makes the directory where it is missing and locks it. `fresh` empties it first.
+    ///
+    /// One whose disk is full or read-only is stood in for by another.
     ///
     /// # Errors
     /// In use, not writable, or not a directory.
     pub fn open(choice: &StateChoice, fresh: bool) -> Result<Self, HostError> {
         match choice {
             StateChoice::Durable(path) => {
-                let dir = Self::lock(path, false)?;
+                let dir = match Self::lock(path, false) {
+                    Ok(dir) => dir,
+                    Err(Unopened::Refused(e)) => return Err(e),
+                    Err(Unopened::Away(e)) => return Self::instead_of(path, &e),
+                };
                 if fresh {
                     dir.clear()?;
                 }
@@ -75,23 +104,45 @@ impl StateDir {
             StateChoice::Ephemeral => {
                 let base = ephemeral_base();
                 sweep(&base);
-                Self::lock(&base.join(ephemeral_name()), true)
+                Self::lock(&base.join(ephemeral_name()), true).map_err(|e| match e {
+                    Unopened::Refused(e) => e,
+                    Unopened::Away(e) => HostError::StateUnwritable { dir: base, because: e.to_string() },
+                })
             }
         }
+    }
+
+    /// Makes a directory that stands in for one whose disk is full or read-only: devices are driven all the
+    /// same.
+    fn instead_of(path: &Path, error: &std::io::Error) -> Result<Self, HostError> {
+        let mut stands_in = Self::open(&StateChoice::Ephemeral, false)?;
+        log::error!(
+            "the state directory {} cannot be written: {error}; {} stands in for it, and is removed at the end",
+            path.display(),
+            stands_in.path.display()
+        );
+        stands_in.asked_for = Some(path.to_owned());
+        Ok(stands_in)
+    }
+
+    /// Returns the directory of what is to outlive the process, which may not be one that can be written now;
+    /// `None`: nothing is to.
+    pub(super) fn lasting(&self) -> Option<&Path> {
+        let own = (!self.ephemeral).then_some(self.path.as_path());
+        self.asked_for.as_deref().or(own)
     }
 
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// True when it is removed at the end.
-    pub fn is_ephemeral(&self) -> bool {
-        self.ephemeral
-    }
-
-    fn lock(path: &Path, ephemeral: bool) -> Result<Self, HostError> {
-        let unwritable =
-            |e: std::io::Error| HostError::StateUnwritable { dir: path.to_owned(), because: e.to_string() };
+    fn lock(path: &Path, ephemeral: bool) -> Result<Self, Unopened> {
+        let unwritable = |e: std::io::Error| match is_away(&e, path) {
+            true => Unopened::Away(e),
+            false => {
+                Unopened::Refused(HostError::StateUnwritable { dir: path.to_owned(), because: e.to_string() })
+            }
+        };
         let made = !path.exists();
         DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(unwritable)?;
         let mut file = File::options()
@@ -107,16 +158,19 @@ impl StateDir {
                 let mut pid = String::new();
                 // An unreadable holder is still a holder.
                 let _ = file.read_to_string(&mut pid);
-                return Err(HostError::StateInUse { dir: path.to_owned(), pid: pid.trim().to_owned() });
+                let (dir, pid) = (path.to_owned(), pid.trim().to_owned());
+                return Err(Unopened::Refused(HostError::StateInUse { dir, pid }));
             }
             Err(fs::TryLockError::Error(e)) => return Err(unwritable(e)),
         }
-        let claim = if ephemeral { None } else { claim(path)? };
+        let claim = if ephemeral { None } else { claim(path).map_err(Unopened::Refused)? };
         file.set_len(0).and_then(|()| file.rewind()).map_err(unwritable)?;
-        writeln!(file, "{}", std::process::id()).map_err(unwritable)?;
+        // For people alone: on a full disk the lock holds without.
+        let _ = writeln!(file, "{}", std::process::id());
         let unshared = [Some(unshared(&file)), claim.as_ref().map(unshared)];
         let hold = Mutex::new(Some(Hold { _unshared: unshared, _lock: file, _claim: claim }));
-        Ok(Self { path: path.to_owned(), ephemeral, made, goes: AtomicBool::new(ephemeral), hold })
+        let (path, goes) = (path.to_owned(), AtomicBool::new(ephemeral));
+        Ok(Self { path, asked_for: None, ephemeral, made, goes, hold })
     }
 
     /// Takes back at the end what `open` made, for a process that does not come up after all.

@@ -76,11 +76,7 @@ fn the_oldest_records_go_when_a_snapshot_is_kept_and_the_audit_has_enough() {
     store.keep(&kinds::snapshot(&records)).unwrap();
     let verified = View::open(dir.path()).unwrap().verify().unwrap();
     assert_eq!((verified.records, verified.first, verified.last), (4, 8, 11));
-<<<<<<< HEAD
-    let mut store = store.with(Opener::default(), Bounds { records: 4, bytes: 1 });
-=======
     let mut store = store.with(Opener::default(), Bounds { records: 4, bytes: 1, ..ALL });
->>>>>>> store2
     store.keep(&kinds::snapshot(&records)).unwrap();
     let verified = View::open(dir.path()).unwrap().verify().unwrap();
     assert_eq!((verified.records, verified.first, verified.last), (1, 11, 11));
