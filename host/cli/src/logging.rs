@@ -1,7 +1,8 @@
 //! Destinations of log lines: stderr for people, rotated files in the state directory for later.
 //!
 //! Invariant: a full disk or a closed stderr never stops the program; the level that is recorded is never
-//! coarser than the one shown. Components drive none of the process's own lines out, who asked for what among them.
+//! coarser than the one shown. Components drive none of the process's own lines out, who asked for what among
+//! them.
 
 use std::collections::VecDeque;
 use std::fs::{self, File};
@@ -89,8 +90,8 @@ pub(super) fn install(shown: LevelFilter) {
     log::set_max_level(shown.max(LevelFilter::Info));
 }
 
-/// Also writes to `<dir>/trocar.log`, what components say to `<dir>/components.log`, and who asked for what to
-/// `<dir>/audit.log`, too; when one cannot be opened, says so and goes on.
+/// Also writes to `<dir>/trocar.log`, what components say to `<dir>/components.log`, and who asked for what
+/// to `<dir>/audit.log`, too; when one cannot be opened, says so and goes on.
 pub(super) fn to_file(dir: &Path) {
     let Logger { file, components, audit, .. } = &LOGGER;
     for (name, place) in [(FILE, file), (COMPONENTS, components), (AUDIT, audit)] {

@@ -82,7 +82,8 @@ pub enum Entry {
         components: Vec<(ComponentId, WantedComponent)>,
         connections: Vec<Connection>,
     },
-    /// An incarnation of a process was taken down, or forgotten, with all that it had; 0: whichever there was.
+    /// An incarnation of a process was taken down, or forgotten, with all that it had; 0: whichever there
+    /// was.
     Gone { revision: u64, process: Name, epoch: u64 },
     /// A component failed: it runs no more until somebody resets it.
     Failed { component: ComponentId },

@@ -184,8 +184,8 @@ impl Gcm {
         Ok((done, Some(record)))
     }
 
-    /// Decides a request whose changes are done: it gets its revision, and is on record. Returns the number of
-    /// the record.
+    /// Decides a request whose changes are done: it gets its revision, and is on record. Returns the number
+    /// of the record.
     pub(super) fn done(&self, done: &mut Executed, since: Decision, asked: &Asked) -> u64 {
         self.decide(|revision| {
             done.revision = revision;

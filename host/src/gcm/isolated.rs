@@ -231,8 +231,8 @@ impl Gcm {
         }
     }
 
-    /// Tells whether an isolated component is to be removed whose process is away: that process is ended, with or
-    /// without an answer of it.
+    /// Tells whether an isolated component is to be removed whose process is away: that process is ended,
+    /// with or without an answer of it.
     ///
     /// # Errors
     /// RevisionConflict.
@@ -258,8 +258,8 @@ impl Gcm {
         }
     }
 
-    /// Removes it. Its process is not wanted from now on, which cannot be taken back: should it come once more
-    /// before it is ended, it has nothing that is wanted.
+    /// Removes it. Its process is not wanted from now on, which cannot be taken back: should it come once
+    /// more before it is ended, it has nothing that is wanted.
     ///
     /// # Errors
     /// The refusals of the plan.

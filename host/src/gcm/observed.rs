@@ -108,8 +108,8 @@ impl Gcm {
         lcm.apply(Change::Disconnect { connection, replaced: false }, deadline.into()).await.map(|_| ())
     }
 
-    /// Puts on record that components failed and that connections were taken out of the graph, and has the LCMs
-    /// cut those that they may still have. Not waited for.
+    /// Puts on record that components failed and that connections were taken out of the graph, and has the
+    /// LCMs cut those that they may still have. Not waited for.
     pub(super) fn cut_off(&self, loose: Vec<After>) {
         let mut left = Vec::new();
         let mut connections = Vec::new();

@@ -18,8 +18,8 @@ use super::observed::After;
 use super::sessions::{Registration, Sessions};
 
 impl Gcm {
-    /// Has both halves made and linked. Neither stays when nobody waits for them any more: a process that stood
-    /// still may make its half later than that.
+    /// Has both halves made and linked. Neither stays when nobody waits for them any more: a process that
+    /// stood still may make its half later than that.
     pub(super) async fn link_or_none(
         &self,
         connection: &Connection,

@@ -83,7 +83,8 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
-    /// Carries out all changes of the plan, and puts those that are done in `made`; `None`: the process is gone.
+    /// Carries out all changes of the plan, and puts those that are done in `made`; `None`: the process is
+    /// gone.
     async fn make_again(
         &self,
         carrying: &Carrying<'_>,

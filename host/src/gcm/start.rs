@@ -71,8 +71,8 @@ impl Gcm {
         Ok(gcm)
     }
 
-    /// A GCM that goes on where the one before it ended: what was wanted then is wanted now, and its processes
-    /// are LOST until they are here.
+    /// A GCM that goes on where the one before it ended: what was wanted then is wanted now, and its
+    /// processes are LOST until they are here.
     ///
     /// # Errors
     /// The state folder cannot be used; the store is damaged, of a later release, or in use. One that cannot

@@ -342,6 +342,12 @@ impl System {
                 reason,
                 format!("another directory: \"state\" of {name} in the system file, or XDG_STATE_HOME"),
             ),
+            // It has no --fresh.
+            reason @ ("JOURNAL_DAMAGED" | "JOURNAL_NEWER") => (
+                reason,
+                "move the file away: `trocar up` makes the system as its file says, and begins a new journal"
+                    .to_owned(),
+            ),
             reason => (reason, said("help").to_owned()),
         };
         let why = match said("message") {

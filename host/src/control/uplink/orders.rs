@@ -154,8 +154,8 @@ struct Turn {
     done: oneshot::Sender<()>,
 }
 
-/// Waits a moment for the order before, which may not have begun yet: one that goes on is met by this one. The
-/// next order waits until what this returns is dropped.
+/// Waits a moment for the order before, which may not have begun yet: one that goes on is met by this one.
+/// The next order waits until what this returns is dropped.
 async fn come(turn: Option<Turn>) -> Option<oneshot::Sender<()>> {
     let Turn { before, done } = turn?;
     if let Some(before) = before {

@@ -293,35 +293,3 @@ fn no_more_records_are_added_than_are_read_again_until_a_snapshot_is_kept() {
     assert_eq!(loaded(dir.path()).records.len(), 4);
     assert_eq!(View::open(dir.path()).unwrap().verify().unwrap().last, 12);
 }
-
-/// Prints how long the longest batch takes: `cargo test -p trocar --lib -- --ignored --nocapture long_batch`.
-#[test]
-#[ignore = "takes minutes, and 2 GB of disk and of memory"]
-fn a_long_batch_of_long_records_is_there_again() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut store = RedbStore::new(dir.path());
-    store.load().unwrap();
-    let records = vec![long(1 << 20); 256];
-    let memory = || {
-        let status = fs::read_to_string("/proc/self/status").unwrap();
-        status.lines().find(|line| line.starts_with("VmHWM")).unwrap().to_owned()
-    };
-    println!("before: {}", memory());
-    for round in 0..4 {
-        let begun = std::time::Instant::now();
-        let added = store.append(&records);
-        let length = fs::metadata(dir.path().join(FILE)).unwrap().len();
-        println!("round {round}: {added:?} in {:?}, {length} bytes, {}", begun.elapsed(), memory());
-        assert_eq!(added.is_ok(), round != 1);
-        if round != 0 {
-            store.keep(&kinds::snapshot(&records)).unwrap();
-        }
-        let length = fs::metadata(dir.path().join(FILE)).unwrap().len();
-        println!("  {length} bytes");
-    }
-    store.append(&records).unwrap();
-    drop(store);
-    let begun = std::time::Instant::now();
-    assert_eq!(loaded(dir.path()).records.len(), 256);
-    println!("load: {:?}, {}", begun.elapsed(), memory());
-}

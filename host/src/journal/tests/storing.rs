@@ -259,23 +259,3 @@ fn a_journal_is_looked_at_while_it_is_written() {
         assert_eq!(said(&seen), said(&records[..=at].to_vec()));
     }
 }
-
-/// Prints how long appends take on this machine's disk: `cargo test -p trocar --lib -- --ignored --nocapture
-/// cost_of_one_append`. `TROCAR_JOURNAL_DIR` names the disk.
-#[test]
-#[ignore = "measures, and judges nothing"]
-fn cost_of_one_append() {
-    let place = std::env::var_os("TROCAR_JOURNAL_DIR").map_or_else(std::env::temp_dir, Into::into);
-    let dir = tempfile::tempdir_in(place).unwrap();
-    let mut store = opened(dir.path());
-    let record = &kinds::records()[6..7];
-    let mut took: Vec<_> = (0..500)
-        .map(|_| {
-            let begun = std::time::Instant::now();
-            store.append(record).unwrap();
-            begun.elapsed()
-        })
-        .collect();
-    took.sort();
-    println!("append: median {:?}, p99 {:?}, most {:?}", took[250], took[495], took[499]);
-}
