@@ -19,6 +19,8 @@ mod isolated;
 mod numbers;
 #[path = "processes/refusals.rs"]
 mod refusals;
+#[path = "processes/remembering.rs"]
+mod remembering;
 #[path = "processes/stopping.rs"]
 mod stopping;
 #[path = "processes/system.rs"]

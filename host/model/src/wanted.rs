@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::{
     Change, ClassInfo, Component, ComponentId, Connection, ConnectionId, Execution, Health, Name, Process,
-    ProcessState, State, StopReason, SystemGraph, Target, Verb, Warnings,
+    ProcessState, Safety, State, StopReason, SystemGraph, Target, Verb, Warnings,
 };
 
 /// What was decided, up to a revision.
@@ -134,7 +134,8 @@ impl Wanted {
                 let named = |id: &ComponentId| targets.iter().any(|target| target.names(id));
                 for (_, component) in self.components.iter_mut().filter(|(id, _)| named(id)) {
                     let ran = component.grant.take_if(|grant| grant.decision < *decision).is_some();
-                    if ran || component.state == State::Stopped(StopReason::Restarted) {
+                    let runs_by_none = component.grant.is_none() && component.state == State::Active;
+                    if ran || runs_by_none || component.state == State::Stopped(StopReason::Restarted) {
                         component.state = State::Stopped(StopReason::Requested);
                     }
                 }
@@ -191,7 +192,7 @@ impl Wanted {
                 if let Some(component) = self.components.get_mut(id) {
                     component.config = to.clone();
                     // A configuration while it runs leaves it running.
-                    if component.grant.is_none() {
+                    if component.grant.is_none() && *to_state != State::Active {
                         component.state = *to_state;
                     }
                 }
@@ -218,6 +219,14 @@ impl Wanted {
     pub fn is_granted(&self, id: &ComponentId, epoch: u64) -> bool {
         let grant = self.components.get(id).and_then(|component| component.grant);
         grant.is_some_and(|grant| grant.epoch == epoch)
+    }
+
+    /// Tells whether a component may run in that incarnation of its process: by its grant, or, where nothing
+    /// is moved by it, by that of an earlier incarnation, which its process has started again.
+    pub fn may_run(&self, id: &ComponentId, epoch: u64) -> bool {
+        let component = self.components.get(id);
+        let moves = |component: &WantedComponent| component.class.safety == Safety::Actuator;
+        component.is_some_and(|c| c.grant.is_some_and(|grant| grant.epoch == epoch || !moves(c)))
     }
 
     /// Returns the graph of a system of which nothing is seen yet: every process that has something is LOST.

@@ -213,6 +213,11 @@ impl Gcm {
                 let to = State::Stopped(StopReason::Requested);
                 Change::Run { id: id.clone(), verb: Verb::Stop, from: *from, to }
             }
+            // It has failed since, or was stopped by something else.
+            Change::Run { id, verb, from, to: State::Active } => {
+                let to = graph.components.get(id).map_or(State::Active, |component| component.state);
+                Change::Run { id: id.clone(), verb: *verb, from: *from, to }
+            }
             other => other.clone(),
         };
         lasting.map(as_stands).collect()

@@ -67,7 +67,8 @@ pub(super) struct Ledger {
 #[derive(Default)]
 struct Held {
     wanted: Wanted,
-    pending: VecDeque<Record>,
+    /// With their numbers.
+    pending: VecDeque<(u64, Record)>,
     /// About as many bytes as these have.
     weight: usize,
     /// Number of the last record.
@@ -176,21 +177,24 @@ impl Ledger {
         let mut held = self.held.lock();
         let anew = (anew || held.dropped > 0) && !held.pending.is_empty();
         let anew = anew.then(|| (held.dropped, held.wanted.clone()));
-        let (mut records, mut bytes) = (Vec::new(), 0);
+        let (mut records, mut bytes, mut last) = (Vec::new(), 0, 0);
         while let Some(first) = held.pending.front() {
             let is_full = records.len() >= most || bytes >= most_bytes;
             if anew.is_none() && is_full {
                 break;
             }
-            bytes += weight(first);
-            records.extend(held.pending.pop_front());
+            bytes += weight(&first.1);
+            let (number, record) = first.clone();
+            held.pending.pop_front();
+            last = number;
+            records.push(record);
         }
         held.weight = held.weight.saturating_sub(bytes);
         let revision = match held.pending.is_empty() {
             true => held.wanted.revision,
             false => records.iter().filter_map(|record| record.entry.revision()).max().unwrap_or_default(),
         };
-        Batch { records, last: held.last - held.pending.len() as u64, revision, anew }
+        Batch { records, last, revision, anew }
     }
 
     /// Notes that the store has them.
@@ -200,15 +204,17 @@ impl Ledger {
         }
         self.revision.fetch_max(batch.revision, Ordering::Relaxed);
         self.durable.send_replace(batch.last);
-        self.stands(Standing::Written);
+        if self.bell.lock().is_some() {
+            self.stands(Standing::Written);
+        }
     }
 
     /// Gives them back: the store has none of them.
     pub(super) fn not_written(&self, batch: Batch, why: String) {
         let mut held = self.held.lock();
-        for record in batch.records.into_iter().rev() {
+        for (at, record) in batch.records.into_iter().rev().enumerate() {
             held.weight += weight(&record);
-            held.pending.push_front(record);
+            held.pending.push_front((batch.last.saturating_sub(at as u64), record));
         }
         held.bound();
         drop(held);
@@ -231,7 +237,9 @@ impl Ledger {
 
     /// Ends the way to the store; what waits is written first, if that can be done soon.
     pub(super) async fn close(&self) {
-        self.bell.lock().take();
+        if self.bell.lock().take().is_some() {
+            self.stands(Standing::Behind { why: "it is closed, since this GCM ends".into() });
+        }
         // The sender lives as long as this.
         let _ = self.ended.subscribe().wait_for(|ended| *ended).await;
     }
@@ -249,7 +257,7 @@ impl Ledger {
 impl Held {
     fn put(&mut self, record: Record) {
         self.weight += weight(&record);
-        self.pending.push_back(record);
+        self.pending.push_back((self.last, record));
         self.bound();
     }
 
@@ -257,7 +265,7 @@ impl Held {
         let (most, most_bytes) = PENDING;
         while self.pending.len() > most || self.weight > most_bytes && self.pending.len() > 1 {
             let oldest = self.pending.pop_front();
-            self.weight = self.weight.saturating_sub(oldest.as_ref().map_or(0, weight));
+            self.weight = self.weight.saturating_sub(oldest.as_ref().map_or(0, |(_, record)| weight(record)));
             self.dropped += 1;
         }
     }

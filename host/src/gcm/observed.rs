@@ -7,7 +7,8 @@ use std::time::Instant;
 
 use trocar_lcm_api::Report;
 use trocar_model::{
-    Change, Component, ComponentId, Connection, ConnectionId, Entry, Refusal, State, SystemGraph,
+    Change, Component, ComponentId, Connection, ConnectionId, Entry, Refusal, State, StopReason, SystemGraph,
+    Verb,
 };
 
 use super::Gcm;
@@ -24,6 +25,8 @@ pub(crate) enum After {
     },
     /// A component failed.
     Failed(ComponentId),
+    /// A component that ran was stopped by something else than a request, and stands so.
+    Rests(ComponentId, State),
 }
 
 impl After {
@@ -39,6 +42,10 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<After> {
     let mut after = Vec::new();
     if report.state == State::Fault && component.state != State::Fault {
         after.push(After::Failed(report.id.clone()));
+    }
+    let by_itself = matches!(report.state, State::Stopped(StopReason::PeerLost | StopReason::Interlock));
+    if by_itself && component.state == State::Active {
+        after.push(After::Rests(report.id.clone(), report.state));
     }
     component.state = report.state;
     component.health = report.health;
@@ -120,6 +127,14 @@ impl Gcm {
                     left.extend(is_left.then_some(connection));
                 }
                 After::Failed(component) => _ = self.enter(Entry::Failed { component }),
+                // It goes on by another grant alone.
+                After::Rests(id, to) => {
+                    let rest = Change::Run { id, verb: Verb::Stop, from: State::Active, to };
+                    self.inner.ledger.enter(|_| {
+                        let revision = self.graph().revision;
+                        (Entry::Changed { revision, decision: 0, changes: vec![rest] }, None)
+                    });
+                }
             }
         }
         if !connections.is_empty() {

@@ -20,7 +20,7 @@ use super::{Gcm, text};
 /// Pause before they are looked for once more.
 const AGAIN: Duration = Duration::from_secs(1);
 /// Times that differences are looked for before what is left is only shown.
-const TIMES: u64 = 3;
+const TIMES: u32 = 3;
 
 /// Tells whether a process may have something else than is wanted of it.
 pub(super) fn differs(
@@ -59,7 +59,8 @@ impl Look<'_> {
         let (mut stops, mut rest, mut destroyed) = (Vec::new(), Vec::new(), Vec::new());
         for report in &mine {
             let (id, to) = (report.id.clone(), State::Stopped(StopReason::Requested));
-            let may_run = self.granted.contains(&id) && !gone.contains(&id);
+            let back = told.get(&id).and_then(|known| self.configured_back(report, known));
+            let may_run = self.granted.contains(&id) && !gone.contains(&id) && back.is_none();
             if report.state == State::Active && !may_run {
                 stops.push(Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to });
             }
@@ -67,7 +68,7 @@ impl Look<'_> {
                 let component = told.get(&id).map_or_else(|| nameless(report.state), |c| (*c).clone());
                 destroyed.push(Change::Destroy { id, component: Box::new(component) });
             } else {
-                rest.extend(told.get(&id).and_then(|known| self.configured_back(report, known)));
+                rest.extend(back);
             }
         }
         let is_same = |a: &Connection, b: &Connection| a.client == b.client && a.server == b.server;
@@ -114,7 +115,12 @@ impl Look<'_> {
             return None;
         }
         let (from, to) = (told.config.clone(), wanted.config.clone());
-        let (from_state, to_state) = (report.state, report.state);
+        // One that runs is stopped before: settings that it runs by may not be changed then.
+        let stands = match report.state {
+            State::Active => State::Stopped(StopReason::Requested),
+            stands => stands,
+        };
+        let (from_state, to_state) = (stands, stands);
         Some(Change::Configure { id: report.id.clone(), from, to, from_state, to_state })
     }
 }
@@ -178,7 +184,11 @@ impl Gcm {
         let part = [Request::Stop { targets: vec![everything] }];
         let since = self.inner.claims.arrive();
         let mut slice = slice.clone();
-        for time in 1..=TIMES {
+        let mut time = 1;
+        while time <= TIMES {
+            if !self.hears(process, session) {
+                return None;
+            }
             let until = Instant::now() + self.inner.each_change;
             // The claim is of all that there may be, not of a plan.
             let all = |_: &SystemGraph| Ok(Planned { plan: Plan::default(), is_whole: false });
@@ -194,6 +204,7 @@ impl Gcm {
                 Ok(inventory) => inventory.components,
                 Err(refusal) => {
                     log::warn!("the inventory of {process} cannot be had: {refusal}");
+                    time += 1;
                     continue;
                 }
             };
@@ -216,8 +227,9 @@ impl Gcm {
             }
             drop(claim);
             if time < TIMES {
-                tokio::time::sleep(AGAIN * u32::try_from(time - 1).unwrap_or(1)).await;
+                tokio::time::sleep(AGAIN * (time - 1)).await;
             }
+            time += 1;
         }
         let lcm = self.lcm_of(process).ok().filter(|_| self.hears(process, session))?;
         lcm.inventory().await.ok().map(|inventory| inventory.components)
@@ -228,7 +240,7 @@ impl Gcm {
         let epoch = self.graph().processes.get(process).map_or(0, |process| process.epoch);
         let wanted = self.inner.ledger.wanted();
         let mine = wanted.components.keys().filter(|id| id.process == *process);
-        mine.filter(|id| wanted.is_granted(id, epoch)).cloned().collect()
+        mine.filter(|id| wanted.may_run(id, epoch)).cloned().collect()
     }
 
     async fn amend(&self, lcm: &dyn Lcm, process: &Name, change: &Change) -> Result<(), Refusal> {

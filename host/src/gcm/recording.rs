@@ -80,8 +80,11 @@ impl Past {
             store.append(&batch.records)?;
             self.on(&batch.records);
             if self.is_long() {
-                store.keep(&self.snapshot())?;
-                self.beside = (0, 0);
+                // The records are there all the same.
+                match store.keep(&self.snapshot()) {
+                    Ok(()) => self.beside = (0, 0),
+                    Err(e) => log::warn!("the journal is not folded yet: {e}"),
+                }
             }
             return Ok(());
         };
@@ -93,6 +96,9 @@ impl Past {
         store.append(&batch.records)?;
         self.on(&batch.records);
         self.wanted.clone_from(wanted);
+        // To this, whatever the records would lead to.
+        store.keep(&self.snapshot())?;
+        self.beside = (0, 0);
         Ok(())
     }
 }

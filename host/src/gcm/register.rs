@@ -9,8 +9,8 @@ use tokio::sync::{mpsc, oneshot};
 use trocar_lcm_api::{Inventory, Lcm, Report};
 use trocar_links::Card;
 use trocar_model::{
-    Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process, ProcessState,
-    Refusal, State, SystemGraph, WantedComponent,
+    Change, Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process,
+    ProcessState, Refusal, State, SystemGraph, WantedComponent,
 };
 
 use super::Gcm;
@@ -22,6 +22,8 @@ use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
 
 /// Callers that may wait at once until the news of a process is entered.
 const ASKING: usize = 64;
+/// No GCM has counted so much farther than the one after it.
+const AHEAD: u64 = 1 << 32;
 
 impl Gcm {
     /// Takes a process in and follows its news until it is lost. A process that comes back (same instance, or
@@ -47,8 +49,11 @@ impl Gcm {
         if who.guest.is_empty() {
             let incarnation = Incarnation { instance: who.instance, epoch };
             let came = self.enter(Entry::Came { process: who.process.clone(), incarnation });
-            // Before anything is made in it: the next GCM knows whom it has made that in.
+            // Before anything is made in it: the next GCM knows whom it has made that in. Whoever asks for
+            // this may go meanwhile.
+            let mut held = Claiming { gcm: self, process: &who.process, session, is_entered: false };
             self.inner.ledger.durable(came).await;
+            held.is_entered = true;
         }
         let mut taken = TakenIn::default();
         self.edit(|graph| {
@@ -62,6 +67,11 @@ impl Gcm {
         log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
         if taken.is_brought && who.guest.is_empty() {
             self.bring(&who.process);
+        }
+        if !taken.joined.is_empty() {
+            let changes = taken.joined.into_iter().map(|connection| Change::Connect { connection });
+            let (revision, changes) = (self.graph().revision, changes.collect());
+            self.enter(Entry::Changed { revision, decision: 0, changes });
         }
         self.cut_off(taken.loose);
         self.cut_strays(taken.strays);
@@ -113,12 +123,13 @@ impl Gcm {
         let is_ahead = !claimed.was_here && who.revision > self.inner.began_at;
         let mut mine = wanted.components.keys().filter(|id| id.process == who.process).peekable();
         // One that comes from elsewhere under a name of which nothing is wanted.
-        let is_strange = !claimed.back && mine.peek().is_none();
+        let has_none = || self.graph().components.keys().all(|id| id.process != who.process);
+        let is_strange = !claimed.back && mine.peek().is_none() && under_way.is_empty() && has_none();
         let is_on_record = wanted.processes.contains_key(&who.process);
         if is_ahead || is_strange || !is_on_record || !who.guest.is_empty() {
             return Word::OfProcess;
         }
-        let granted = mine.filter(|id| wanted.is_granted(id, claimed.epoch)).cloned().collect();
+        let granted = mine.filter(|id| wanted.may_run(id, claimed.epoch)).cloned().collect();
         Word::OnRecord { granted, under_way: under_way.into_iter().collect() }
     }
 
@@ -199,6 +210,22 @@ impl Gcm {
     }
 }
 
+/// A session that is not entered yet: it ends with its registration.
+struct Claiming<'a> {
+    gcm: &'a Gcm,
+    process: &'a Name,
+    session: u64,
+    is_entered: bool,
+}
+
+impl Drop for Claiming<'_> {
+    fn drop(&mut self) {
+        if !self.is_entered {
+            self.gcm.lost(self.process, self.session);
+        }
+    }
+}
+
 /// The word that counts for what a process is to have.
 enum Word {
     /// What was decided: the process is evidence of how it stands.
@@ -221,6 +248,8 @@ struct TakenIn {
     is_brought: bool,
     /// The process may have something else than is wanted.
     differs: bool,
+    /// Connections of which there was no record.
+    joined: Vec<Connection>,
     /// Halves to be cut, by process.
     strays: Vec<(Name, Connection)>,
     /// Components to be stopped that run.
@@ -239,10 +268,11 @@ fn take_in(
     inventory: Inventory,
 ) -> TakenIn {
     let mut taken = TakenIn::default();
-    graph.revision = graph.revision.max(who.revision);
-    // No number of a connection comes back while somebody may have it.
+    // Numbers do not come back, as far as some GCM can have come to them.
+    let come_to = |now: u64, told: u64| if told.saturating_sub(now) <= AHEAD { now.max(told) } else { now };
+    graph.revision = come_to(graph.revision, who.revision);
     let last = who.slice.connections.iter().map(|c| c.id.0.saturating_add(1)).max();
-    graph.next_connection = graph.next_connection.max(last.unwrap_or_default());
+    graph.next_connection = come_to(graph.next_connection, last.unwrap_or_default());
     graph.proxies.retain(|_, half| half.process != who.process);
     sessions.counts_anew(&who.process);
     match word {
@@ -274,7 +304,11 @@ fn take_in(
             sessions.wanted.here(&who.process, &taken.owed);
         }
     }
-    settle(sessions, graph, who, &mut taken.strays, &mut taken.loose);
+    match word {
+        Word::OfProcess => _ = sessions.believed.insert(who.process.clone()),
+        Word::OnRecord { .. } => _ = sessions.believed.remove(&who.process),
+    }
+    taken.joined = settle(sessions, graph, who, &mut taken.strays, &mut taken.loose);
     // A component that is not configured yet does not have all its ports.
     if taken.gets_back.is_none() {
         taken.loose.extend(inventory.components.iter().flat_map(|report| loosen(graph, &report.id)));

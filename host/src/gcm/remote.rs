@@ -25,6 +25,12 @@ impl Gcm {
         connection: &Connection,
         deadline: Instant,
     ) -> Result<Report, Refusal> {
+        // Whatever becomes of it, somebody may have a half under this number.
+        self.edit_if(|graph| {
+            let graph = Arc::make_mut(graph);
+            graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
+            false
+        });
         let (tell, told) = oneshot::channel();
         let (gcm, wanted) = (self.clone(), connection.clone());
         tokio::spawn(async move {
@@ -43,13 +49,7 @@ impl Gcm {
                 Err(refusal) => log::error!("undoing connection {}: {refusal}", connection.id.0),
             }
         });
-        let linked =
-            told.await.unwrap_or_else(|_| Err(Refusal::Internal { text: "linking broke off".into() }));
-        if linked.is_err() {
-            // Somebody may have a half under this number.
-            self.edit(|graph| graph.next_connection = graph.next_connection.max(connection.id.0 + 1));
-        }
-        linked
+        told.await.unwrap_or_else(|_| Err(Refusal::Internal { text: "linking broke off".into() }))
     }
 
     /// Has both halves made and linked.
@@ -202,16 +202,17 @@ fn other<'c>(connection: &'c Connection, process: &Name) -> &'c Name {
 }
 
 /// Decides which connections to other processes a registering process has. Decisions of this GCM count first.
-/// A connection from before this GCM counts as soon as both processes have brought it along. `strays`: the
-/// halves to be cut, by process; `loose`: connections that are taken out.
+/// A connection from before this GCM of which there is no record counts as soon as both processes have
+/// brought it along, and one of them is believed; these are returned. `strays`: the halves to be cut, by
+/// process; `loose`: connections that are taken out.
 pub(super) fn settle(
     sessions: &mut Sessions,
     graph: &mut SystemGraph,
     who: &Registration,
     strays: &mut Vec<(Name, Connection)>,
     loose: &mut Vec<After>,
-) {
-    let me = &who.process;
+) -> Vec<Connection> {
+    let (me, mut joined) = (&who.process, Vec::new());
     let ends_known = |graph: &SystemGraph, c: &Connection| {
         [&c.client, &c.server].iter().all(|end| graph.components.contains_key(&end.component))
     };
@@ -242,7 +243,9 @@ pub(super) fn settle(
         let agreed = theirs.iter().position(ends).map(|at| theirs.swap_remove(at)).is_some();
         let free =
             !graph.connections.contains_key(&connection.id) && graph.source_of(&connection.client).is_none();
-        if agreed && free && ends_known(graph, connection) {
+        let believed = sessions.believed.contains(me) || sessions.believed.contains(peer);
+        if agreed && free && believed && ends_known(graph, connection) {
+            joined.push(connection.clone());
             graph.connections.insert(connection.id, connection.clone());
             continue;
         }
@@ -253,6 +256,7 @@ pub(super) fn settle(
     }
     sessions.brought.insert(me.clone(), brought);
     strays.extend(awaited(sessions, me));
+    joined
 }
 
 /// Takes out the connections to a process that other processes have brought along: it does not have them, or

@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
+use trocar_lcm_api::Decision;
 use trocar_model::{
     Change, ComponentId, Connection, Entry, Health, Here, Name, Plan, Process, ProcessState, Refusal, State,
     StopReason, SystemGraph, Verb, open_ends, restore,
@@ -66,14 +67,9 @@ impl Gcm {
         };
         let carrying = Carrying::begin(&self, claim);
         let mut made = Vec::new();
-        let away = self.make_again(&carrying, &plan, (&process, session), &here, &mut made).await;
-        // As it was made, also when it ends in the middle: of which classes, and by which grants it runs.
-        self.inner.ledger.enter(|_| {
-            let (revision, decision) = (self.graph().revision, since.0);
-            let changes = self.on_record(&made, since);
-            (Entry::Changed { revision, decision, changes }, None)
-        });
-        let Some(away) = away else { return };
+        let again = self.make_again(&carrying, &plan, (&process, session, since), &here, &mut made).await;
+        let Some(away) = again else { return };
+        self.made_again(&mut made, since);
         log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
         // News told before would cover the notes.
         self.hear_out(&process).await;
@@ -83,13 +79,26 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
-    /// Carries out all changes of the plan, and puts those that are done in `made`; `None`: the process is
-    /// gone.
+    /// Puts on record what was made again: of which classes it is, and by which grants it runs.
+    fn made_again(&self, made: &mut Vec<Change>, since: Decision) {
+        let made = std::mem::take(made);
+        if made.is_empty() {
+            return;
+        }
+        self.inner.ledger.enter(|_| {
+            let (revision, decision) = (self.graph().revision, since.0);
+            let changes = self.on_record(&made, since);
+            (Entry::Changed { revision, decision, changes }, None)
+        });
+    }
+
+    /// Carries out all changes of the plan; `None`: the process is gone. `made_again`: done, and not on
+    /// record yet.
     async fn make_again(
         &self,
         carrying: &Carrying<'_>,
         plan: &Plan,
-        (process, session): (&Name, u64),
+        (process, session, since): (&Name, u64, Decision),
         here: &Here,
         made_again: &mut Vec<Change>,
     ) -> Option<Away> {
@@ -123,7 +132,13 @@ impl Gcm {
                 done = carrying.one(change, deadline) => done,
             };
             match done {
-                Ok(_) => made_again.push(change.clone()),
+                Ok(_) => {
+                    made_again.push(change.clone());
+                    // One that is made and not configured yet is no more than what was wanted before.
+                    if !matches!(change, Change::Create { .. }) {
+                        self.made_again(made_again, since);
+                    }
+                }
                 Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,
                 // The other process ended, too, or cannot be reached yet.
                 Err(

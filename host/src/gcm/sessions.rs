@@ -79,6 +79,8 @@ pub(super) struct Sessions {
     last: BTreeMap<Name, (u128, u64)>,
     /// Processes that were here at some time in the life of this GCM.
     met: BTreeSet<Name>,
+    /// Processes whose word was taken for what was decided.
+    pub(super) believed: BTreeSet<Name>,
     /// Number of the newest session.
     newest: u64,
     pub(super) wanted: Wanted,

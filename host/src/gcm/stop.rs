@@ -80,7 +80,9 @@ impl Gcm {
             Some((asked.clone(), told))
         });
         // It has acted; a disk that hangs does not keep the answer.
-        let _ = tokio::time::timeout(ON_RECORD, self.inner.ledger.durable(record)).await;
+        let gcm = self.clone();
+        let on_record = tokio::spawn(async move { gcm.inner.ledger.durable(record).await });
+        let _ = tokio::time::timeout(ON_RECORD, on_record).await;
         answer.unwrap_or_else(|| Err(Refusal::Internal { text: "a Stop without an answer".into() }))
     }
 

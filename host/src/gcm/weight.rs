@@ -26,7 +26,10 @@ pub(super) fn weight(record: &Record) -> usize {
         Some(Err(refusal)) => refusal.to_string().len(),
         None => 0,
     };
-    LEAST + entry + answer + record.asked.as_ref().map_or(0, |asked| asked.text.len())
+    LEAST
+        + entry
+        + answer
+        + record.asked.as_ref().map_or(0, |a| a.text.len() + a.request_id.len() + a.identity.len())
 }
 
 fn of_plan(plan: &Plan) -> usize {

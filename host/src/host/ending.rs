@@ -131,14 +131,6 @@ async fn end(running: &Mutex<Running>, how: How) {
     if let Some(lcm) = &lcm {
         lcm.shutdown(SHUTDOWN).await;
     }
-    if let Some(gcm) = gcm {
-        if let Some(lcm) = lcm.as_ref().filter(|_| is_up) {
-            // It ended in order: nothing of it is to come back.
-            gcm.left(lcm.process(), 0);
-        }
-        gcm.close_journal().await;
-    }
-    drop(lcm);
     if let Some(task) = uplink {
         task.abort();
         if matches!(how, How::Orderly) {
@@ -152,6 +144,15 @@ async fn end(running: &Mutex<Running>, how: How) {
             How::Abrupt => server.cut(),
         }
     }
+    // Nothing is decided any more.
+    if let Some(gcm) = gcm {
+        if let Some(lcm) = lcm.as_ref().filter(|_| is_up) {
+            // It ended in order: nothing of it is to come back.
+            gcm.left(lcm.process(), 0);
+        }
+        gcm.close_journal().await;
+    }
+    drop(lcm);
     // Joins the watching thread.
     drop(watch);
     state.release();

@@ -42,6 +42,8 @@ pub struct StateDir {
     path: PathBuf,
     /// The directory that this one stands in for.
     asked_for: Option<PathBuf>,
+    /// Keeps other processes out of that one.
+    _claim: Option<UnixDatagram>,
     ephemeral: bool,
     /// True: the directory was not there before.
     made: bool,
@@ -94,7 +96,7 @@ impl StateDir {
                 let dir = match Self::lock(path, false) {
                     Ok(dir) => dir,
                     Err(Unopened::Refused(e)) => return Err(e),
-                    Err(Unopened::Away(e)) => return Self::instead_of(path, &e),
+                    Err(Unopened::Away(e)) => return Self::instead_of(path, fresh, &e),
                 };
                 if fresh {
                     dir.clear()?;
@@ -114,14 +116,18 @@ impl StateDir {
 
     /// Makes a directory that stands in for one whose disk is full or read-only: devices are driven all the
     /// same.
-    fn instead_of(path: &Path, error: &std::io::Error) -> Result<Self, HostError> {
+    fn instead_of(path: &Path, fresh: bool, error: &std::io::Error) -> Result<Self, HostError> {
+        // Its lock may not be taken now; its name can.
+        let claim = if path.exists() { claim(path)? } else { None };
         let mut stands_in = Self::open(&StateChoice::Ephemeral, false)?;
         log::error!(
             "the state directory {} cannot be written: {error}; {} stands in for it, and is removed at the end",
             path.display(),
             stands_in.path.display()
         );
-        stands_in.asked_for = Some(path.to_owned());
+        // What was to be forgotten is not gone on with.
+        stands_in.asked_for = (!fresh).then(|| path.to_owned());
+        stands_in._claim = claim;
         Ok(stands_in)
     }
 
@@ -170,7 +176,7 @@ impl StateDir {
         let unshared = [Some(unshared(&file)), claim.as_ref().map(unshared)];
         let hold = Mutex::new(Some(Hold { _unshared: unshared, _lock: file, _claim: claim }));
         let (path, goes) = (path.to_owned(), AtomicBool::new(ephemeral));
-        Ok(Self { path, asked_for: None, ephemeral, made, goes, hold })
+        Ok(Self { path, asked_for: None, _claim: None, ephemeral, made, goes, hold })
     }
 
     /// Takes back at the end what `open` made, for a process that does not come up after all.

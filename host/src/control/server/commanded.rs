@@ -17,6 +17,8 @@ use crate::gcm::Gcm;
 
 /// Time for which more of the same is only counted.
 const TOGETHER: Duration = Duration::from_secs(1);
+/// Longest argument that is put on record whole, bytes.
+const LONGEST: usize = 4096;
 /// Most callers and commands that are counted apart.
 const MOST: usize = 1024;
 
@@ -75,7 +77,7 @@ impl Edge {
             return None;
         }
         let value = request.json.clone().map(convert::from_value);
-        let arg = value.map(|value| format!(",\"json\":{value}")).unwrap_or_default();
+        let arg = value.map(|value| format!(",\"json\":{}", cut(value.to_string()))).unwrap_or_default();
         let arg = if request.encoded.is_empty() { arg } else { ",\"encoded\":\"…\"".into() };
         Some(format!("{{\"invoke\":{{\"path\":\"{}\"{arg}}}}}", request.path))
     }
@@ -83,17 +85,28 @@ impl Edge {
     /// Puts a command on record that was called.
     fn commanded(&self, who: String, path: &str, text: String, outcome: Result<(), &Refusal>) {
         let Some(gcm) = &self.gcm else { return };
-        let (commanded, key) = (self.commanded.clone(), (who, path.to_owned()));
+        // One program may dial anew for each command.
+        let user = who.split_once(" at ").or(who.split_once(" by ")).map_or(&*who, |(user, _)| user);
+        let (commanded, key) = (self.commanded.clone(), (user.to_owned(), path.to_owned()));
         if !commanded.is_first(&key) {
             return;
         }
-        gcm.put_on_record(&key.0, text, outcome);
+        gcm.put_on_record(&who, text, outcome);
         let gcm = gcm.clone();
         tokio::spawn(async move {
             tokio::time::sleep(TOGETHER).await;
             more(&gcm, &commanded, &key);
         });
     }
+}
+
+/// The beginning of a long argument.
+fn cut(mut arg: String) -> String {
+    if arg.len() > LONGEST {
+        arg.truncate(arg.floor_char_boundary(LONGEST));
+        arg.push('…');
+    }
+    arg
 }
 
 fn more(gcm: &Gcm, commanded: &Commanded, key: &Key) {
