@@ -22,6 +22,9 @@ use super::disk::{Answers, Disk};
 use super::fault::{Bad, Res};
 use crate::gcm::Unusable;
 
+/// Pages kept in memory while it is written, bytes: only the newest are read again.
+const CACHE: usize = 256 << 10;
+
 /// A journal that is open for writing.
 pub(super) struct Open {
     /// `None`: it is closed.
@@ -140,7 +143,7 @@ impl Opener {
             #[cfg(test)]
             self.faults.clone(),
         )?;
-        let opened = || Ok(Builder::new().set_cache_size(copy::CACHE).create_with_backend(disk)?);
+        let opened = || Ok(Builder::new().set_cache_size(CACHE).create_with_backend(disk)?);
         let database = caught(opened, panicked).map_err(|bad| judged(&answers, bad))?;
         Ok(Open { database: Some(database), answers, place, _unshared: unshared })
     }
