@@ -12,7 +12,7 @@ use super::session::Session;
 use super::{out, units};
 use trocar::gcm::{Record, Unusable};
 use trocar::host::state_home;
-use trocar::journal::{Fault, Kept, Verified, View, lines, revision, time};
+use trocar::journal::{Fault, Kept, Verified, View, lines, time};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -119,7 +119,7 @@ fn show(view: &View, from: Option<u64>, last: Option<u64>, session: &Session) ->
     let mut is_early = from.is_some();
     let mut printed = Ok(Exit::Ok);
     let walked = view.records(first, &mut |kept| {
-        is_early &= revision(&kept.record) < from;
+        is_early &= kept.record.entry.revision() < from;
         if !is_early {
             printed = print(&kept, session);
         }
@@ -141,7 +141,7 @@ fn print(kept: &Kept, session: &Session) -> Done {
 
 /// Time, term, revision, caller, request and result.
 fn headline(record: &Record) -> String {
-    let revision = revision(record).map_or("-".to_owned(), |revision| revision.to_string());
+    let revision = record.entry.revision().map_or("-".to_owned(), |revision| revision.to_string());
     let mut line = format!("{}  term {}  revision {revision}", time(record.wall_ns), record.term);
     if let Some(asked) = &record.asked {
         line += &format!("  {}  {}", asked.identity, asked.text);

@@ -26,7 +26,7 @@ const ROTATE_BYTES: u64 = 4 << 20;
 const FILE: &str = "trocar.log";
 /// Lines of components, apart from the process's own.
 const COMPONENTS: &str = "components.log";
-/// Who asked for what, alone: what else is said does not drive it out.
+/// File of requests and their callers alone: other lines do not drive them out.
 const AUDIT: &str = "audit.log";
 
 /// Lines of the start that are kept for [`to_readers`].

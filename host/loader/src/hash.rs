@@ -1,4 +1,5 @@
-//! The sha256 of a file, or of a plugin with the libraries it brings: the identity of what is loaded.
+//! The sha256 of bytes. That of a file, or of a plugin with the libraries it brings, is the identity of
+//! what is loaded.
 //!
 //! Invariant: trust, cache, vetting verdicts and loaded libraries are keyed by this and by nothing a file can
 //! claim.
@@ -16,6 +17,15 @@ impl Hash {
         let mut out = [0; 32];
         out.copy_from_slice(&Sha256::digest(bytes));
         Hash(out)
+    }
+
+    /// A hash that was kept as its bytes.
+    pub fn from_bytes(bytes: [u8; 32]) -> Hash {
+        Hash(bytes)
+    }
+
+    pub fn bytes(&self) -> &[u8; 32] {
+        &self.0
     }
 
     /// The hash of a plugin with the libraries it brings, in any order: another one when any of them is

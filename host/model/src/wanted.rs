@@ -14,7 +14,7 @@ use crate::{
     ProcessState, Safety, State, StopReason, SystemGraph, Target, Verb, Warnings,
 };
 
-/// What was decided, up to a revision.
+/// Everything that was decided, up to a revision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     pub revision: u64,

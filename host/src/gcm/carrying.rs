@@ -184,7 +184,7 @@ impl<'a> Carrying<'a> {
 impl Gcm {
     /// Takes a change back in the graph alone.
     fn taken_back(&self, undo: &Change) {
-        // How a component stands, its process tells.
+        // Its process tells how a component stands.
         if matches!(undo, Change::Run { .. }) {
             return;
         }

@@ -17,7 +17,7 @@ use super::Gcm;
 use super::answer::{ExecuteOptions, Executed};
 use super::away::plan_away;
 use super::changes::id_of;
-use super::isolation::{Isolated, Isolation, Wanted};
+use super::isolation::{Isolated, Isolation, Orders};
 use super::journal::Asked;
 use super::observed::After;
 
@@ -47,7 +47,7 @@ pub struct Supervising {
 
 impl Supervising {
     /// Returns all orders for the supervisor: at once, and then whenever they change.
-    pub async fn next(&mut self) -> Wanted {
+    pub async fn next(&mut self) -> Orders {
         loop {
             let now = {
                 let all = self.all.borrow_and_update();
@@ -153,13 +153,13 @@ impl Gcm {
         self.inner.isolation.borrow().is_kept(process)?;
         // A process that ends in order stops its components first; those that ran before are to run again.
         self.edit_if(|graph| {
-            self.inner.sessions.lock().wanted.of(graph, process);
+            self.inner.sessions.lock().on_return.of(graph, process);
             false
         });
         let restarted = self.have_restarted(process, &before, &mut graphs, deadline).await;
         let goes_on = |p: &Process| p.state == ProcessState::Attached && p.epoch == before.epoch;
         if restarted.is_err() && self.graph().processes.get(process).is_some_and(goes_on) {
-            self.inner.sessions.lock().wanted.stays(process);
+            self.inner.sessions.lock().on_return.stays(process);
         }
         restarted
     }

@@ -16,7 +16,7 @@ pub struct Isolated {
 
 /// A supervisor's orders.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Wanted {
+pub struct Orders {
     /// All it is to keep for isolated components.
     pub isolated: Vec<Isolated>,
     /// Processes it is to start again now.
@@ -72,7 +72,7 @@ impl Isolation {
     }
 
     /// Returns the orders for a supervisor that was told these restarts.
-    pub(super) fn orders(&self, number: u64, told: &BTreeMap<Name, u64>) -> Wanted {
+    pub(super) fn orders(&self, number: u64, told: &BTreeMap<Name, u64>) -> Orders {
         let none = BTreeSet::new();
         let homes = self.listening.get(&number).unwrap_or(&none);
         let its = self.wanted.iter().filter(|(_, home)| homes.contains(*home));
@@ -82,7 +82,7 @@ impl Isolation {
             .iter()
             .filter(|(process, asked)| told.get(*process) != Some(*asked) && self.keeps(homes, process));
         let restart = asked.map(|(process, _)| process.clone()).collect();
-        Wanted { isolated: isolated.collect(), restart }
+        Orders { isolated: isolated.collect(), restart }
     }
 
     /// Tells whether supervisors are there that make these.

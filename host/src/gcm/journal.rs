@@ -56,7 +56,7 @@ pub struct Remembered {
     pub answer: Answer,
 }
 
-/// What a store has: the newest snapshot, and the records after it.
+/// Content of a store: the newest snapshot, and the records after it.
 #[derive(Clone, Debug, Default)]
 pub struct Loaded {
     pub snapshot: Snapshot,
@@ -68,13 +68,13 @@ pub struct Loaded {
 pub enum Unusable {
     /// It cannot be written now: full, read-only, gone. It may be later.
     Now,
-    /// What it has is damaged, or not a journal, or of another system.
+    /// Its content is damaged, or not a journal, or of another system.
     Damaged,
     /// A later release wrote it.
     Newer,
     /// Another process has it.
     InUse,
-    /// What was written may be lost although the system said otherwise.
+    /// Records may be lost although the system said that they were written.
     NotSynced,
 }
 

@@ -1,4 +1,4 @@
-//! What is wanted, in memory, and the records that are on their way to the store.
+//! The wanted part of the system, in memory, and the records that are on their way to the store.
 //!
 //! Invariant: what is wanted changes by entries alone, and each entry is a record of its own, in the order in
 //! which they are entered. A store that cannot be written holds nobody up for long: that it is behind can be
@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
@@ -26,15 +26,15 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// Rung when a record waits for the store.
 pub(super) type Bell = mpsc::SyncSender<()>;
 
-/// How the journal stands.
+/// State of the journal.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Standing {
     /// There is none: this GCM leaves nothing behind.
     #[default]
     None,
-    /// What was answered is on record.
+    /// Everything that was answered is on record.
     Written,
-    /// What was decided since is in memory alone.
+    /// Later decisions are in memory alone.
     Behind { why: String },
 }
 
@@ -89,6 +89,13 @@ pub(super) struct Batch {
     pub(super) anew: Option<(u64, Wanted)>,
 }
 
+/// Returns the time at which something was, as far as the clocks tell.
+pub(super) fn at(wall_ns: u64) -> Instant {
+    let (now, was) = (SystemTime::now(), UNIX_EPOCH + Duration::from_nanos(wall_ns));
+    let ago = now.duration_since(was).unwrap_or_default();
+    Instant::now().checked_sub(ago).unwrap_or_else(Instant::now)
+}
+
 /// Returns the time of day, ns since 1970 (UTC).
 pub(super) fn wall_ns() -> u64 {
     let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -128,7 +135,7 @@ impl Ledger {
         held.last
     }
 
-    /// What is wanted now.
+    /// Returns the wanted part of the system as it is now.
     pub(super) fn wanted(&self) -> impl std::ops::Deref<Target = Wanted> + '_ {
         MutexGuard::map(self.held.lock(), |held| &mut held.wanted)
     }

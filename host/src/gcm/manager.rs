@@ -20,7 +20,7 @@ use super::isolation::Isolation;
 use super::journal::Asked;
 use super::ledger::{Bell, Ledger};
 use super::lines::Lines;
-use super::recording::Past;
+use super::past::Past;
 use super::requests::Answers;
 use super::sessions::Sessions;
 

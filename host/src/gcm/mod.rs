@@ -14,10 +14,11 @@ mod isolation;
 mod journal;
 mod ledger;
 mod lines;
+mod on_return;
+mod past;
 mod requests;
 mod sessions;
 mod text;
-mod wanted;
 mod weight;
 
 // The manager, which owns the data.
@@ -65,7 +66,7 @@ pub use fate::{Fate, Told};
 pub use guests::{Guest, Joined, Requirement};
 pub use holding::Held;
 pub use isolated::{Supervising, Supervisor};
-pub use isolation::{Isolated, Wanted};
+pub use isolation::{Isolated, Orders};
 pub use journal::{Asked, Loaded, Record, Remembered, Snapshot, Store, StoreError, Unusable};
 pub use ledger::Standing;
 pub use lines::Lines;

@@ -68,11 +68,7 @@ impl Gcm {
         if taken.is_brought && who.guest.is_empty() {
             self.bring(&who.process);
         }
-        if !taken.joined.is_empty() {
-            let changes = taken.joined.into_iter().map(|connection| Change::Connect { connection });
-            let (revision, changes) = (self.graph().revision, changes.collect());
-            self.enter(Entry::Changed { revision, decision: 0, changes });
-        }
+        self.join_wires(taken.joined);
         self.cut_off(taken.loose);
         self.cut_strays(taken.strays);
         let (gcm, lcm) = (Arc::downgrade(&self.inner), Arc::downgrade(&lcm));
@@ -152,6 +148,18 @@ impl Gcm {
         });
     }
 
+    /// Puts connections on record that two processes have brought along.
+    fn join_wires(&self, joined: Vec<Connection>) {
+        if joined.is_empty() {
+            return;
+        }
+        self.inner.ledger.enter(|_| {
+            let revision = self.graph().revision;
+            let changes = joined.into_iter().map(|connection| Change::Connect { connection }).collect();
+            (Entry::Changed { revision, decision: 0, changes }, None)
+        });
+    }
+
     /// Makes a process that is here have what is wanted, and nothing else. `here`: what it has, when it lacks
     /// something; `then`: the graph when it came, when it may have something else.
     async fn settle_in(
@@ -203,7 +211,7 @@ impl Gcm {
                 && let Some(there) = graph.processes.get_mut(&process)
             {
                 there.state = ProcessState::Restarting;
-                sessions.wanted.begin(&process);
+                sessions.on_return.begin(&process);
             }
         });
         self.restore(process, session, here).await;
@@ -228,7 +236,7 @@ impl Drop for Claiming<'_> {
 
 /// The word that counts for what a process is to have.
 enum Word {
-    /// What was decided: the process is evidence of how it stands.
+    /// The record of what was decided: the process is evidence of how it stands.
     OnRecord {
         /// Components that may run: their start was decided for this incarnation.
         granted: BTreeSet<ComponentId>,
@@ -277,31 +285,14 @@ fn take_in(
     sessions.counts_anew(&who.process);
     match word {
         Word::OnRecord { granted, under_way } => {
-            // The process may be lost, and come back, in the middle of its restart.
-            let goes_on = claimed.back && sessions.wanted.is_unfinished(&who.process);
-            let lacks = lacks(graph, &who.process, &inventory);
-            taken.differs = !under_way.is_empty() || differs(graph, who, &inventory, granted);
-            let may_run = |id: &ComponentId| granted.contains(id) || under_way.contains(id);
-            let runs = inventory.components.iter().filter(|report| report.state == State::Active);
-            let unasked = runs.filter(|report| !may_run(&report.id));
-            let unasked: Vec<_> = unasked.map(|report| (report.id.clone(), report.state)).collect();
-            if goes_on || lacks {
-                sessions.wanted.begin(&who.process);
-                taken.gets_back = Some(already(graph, who, &inventory));
-                taken.owed = unasked;
-            } else {
-                inventory.components.iter().for_each(|report| taken.loose.extend(observe(graph, report)));
-                taken.owed = sessions.wanted.owed(graph, &who.process);
-                sessions.wanted.here(&who.process, &taken.owed);
-                let owed: BTreeSet<_> = taken.owed.iter().map(|(id, _)| id.clone()).collect();
-                taken.owed.extend(unasked.into_iter().filter(|(id, _)| !owed.contains(id)));
-            }
+            let may = (granted, under_way);
+            as_on_record(sessions, graph, (who, claimed), may, &inventory, &mut taken);
         }
         Word::OfProcess => {
             adopt(graph, who, &inventory);
             taken.is_brought = true;
-            taken.owed = sessions.wanted.owed(graph, &who.process);
-            sessions.wanted.here(&who.process, &taken.owed);
+            taken.owed = sessions.on_return.owed(graph, &who.process);
+            sessions.on_return.here(&who.process, &taken.owed);
         }
     }
     match word {
@@ -336,6 +327,36 @@ fn take_in(
     };
     graph.processes.insert(who.process.clone(), now);
     taken
+}
+
+/// Enters how the parts of a process stand of which there is a record: it is to have those, and nothing else.
+fn as_on_record(
+    sessions: &mut Sessions,
+    graph: &mut SystemGraph,
+    (who, claimed): (&Registration, &Claimed),
+    (granted, under_way): (&BTreeSet<ComponentId>, &BTreeSet<ComponentId>),
+    inventory: &Inventory,
+    taken: &mut TakenIn,
+) {
+    // The process may be lost, and come back, in the middle of its restart.
+    let goes_on = claimed.back && sessions.on_return.is_unfinished(&who.process);
+    let lacks = lacks(graph, &who.process, inventory);
+    taken.differs = !under_way.is_empty() || differs(graph, who, inventory, granted);
+    let may_run = |id: &ComponentId| granted.contains(id) || under_way.contains(id);
+    let runs = inventory.components.iter().filter(|report| report.state == State::Active);
+    let unasked = runs.filter(|report| !may_run(&report.id));
+    let unasked: Vec<_> = unasked.map(|report| (report.id.clone(), report.state)).collect();
+    if goes_on || lacks {
+        sessions.on_return.begin(&who.process);
+        taken.gets_back = Some(already(graph, who, inventory));
+        taken.owed = unasked;
+    } else {
+        inventory.components.iter().for_each(|report| taken.loose.extend(observe(graph, report)));
+        taken.owed = sessions.on_return.owed(graph, &who.process);
+        sessions.on_return.here(&who.process, &taken.owed);
+        let owed: BTreeSet<_> = taken.owed.iter().map(|(id, _)| id.clone()).collect();
+        taken.owed.extend(unasked.into_iter().filter(|(id, _)| !owed.contains(id)));
+    }
 }
 
 /// Tells whether a process has not all that it is to have, or not whole.

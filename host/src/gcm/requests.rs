@@ -11,8 +11,7 @@ use tokio::sync::watch;
 
 use super::answer::Answer;
 use super::journal::{Asked, Remembered};
-use super::ledger::wall_ns;
-use super::recording::at;
+use super::ledger::{at, wall_ns};
 
 const KEPT: usize = 4096;
 /// Bytes that all answers together may take, about.

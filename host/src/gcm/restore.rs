@@ -49,7 +49,7 @@ impl Gcm {
     /// Makes the components anew that a process was to have and has not, in its session `session`.
     pub(super) async fn restore(self, process: Name, session: u64, here: Here) {
         let decide = |graph: &SystemGraph| {
-            let wanted = self.inner.sessions.lock().wanted.of(graph, &process);
+            let wanted = self.inner.sessions.lock().on_return.of(graph, &process);
             Ok(restore(graph, &process, &wanted, &here))
         };
         let since = self.inner.claims.arrive();
@@ -211,13 +211,13 @@ impl Gcm {
                 if sessions.holder(process) != Some(session) {
                     return;
                 }
-                owed = sessions.wanted.owed(graph, process);
+                owed = sessions.on_return.owed(graph, process);
                 owed.retain(|(id, _)| !tried.contains(id));
                 if owed.is_empty()
                     && let Some(p) = graph.processes.get_mut(process)
                 {
                     p.state = ProcessState::Attached;
-                    sessions.wanted.here(process, &[]);
+                    sessions.on_return.here(process, &[]);
                 }
             });
             if owed.is_empty() {

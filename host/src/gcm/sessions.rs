@@ -14,7 +14,7 @@ use trocar_model::{
 };
 
 use super::guest_lcm::GuestLcm;
-use super::wanted::{RESTARTED, Wanted};
+use super::on_return::{OnReturn, RESTARTED};
 
 /// Most targets of Stops that are kept for one process; more are kept as one for all of it.
 const MOST_UNTOLD: usize = 1024;
@@ -83,7 +83,7 @@ pub(super) struct Sessions {
     pub(super) believed: BTreeSet<Name>,
     /// Number of the newest session.
     newest: u64,
-    pub(super) wanted: Wanted,
+    pub(super) on_return: OnReturn,
     /// Processes that were taken down, with the pid they had: later news of that pid is stale.
     dismissed: BTreeMap<Name, u32>,
     /// Connections to processes that are not there yet, by the process that brought them along from a GCM
@@ -247,7 +247,7 @@ impl Sessions {
     /// Takes a process down: it is away, and nothing is kept for it to come back to.
     pub(super) fn dismiss(&mut self, process: &Name, pid: u32) {
         self.live.remove(process);
-        self.wanted.here(process, &[]);
+        self.on_return.here(process, &[]);
         self.brought.remove(process);
         // Processes that were never spawned cannot be told apart by a pid.
         if pid != 0 {

@@ -12,7 +12,8 @@ use trocar_model::Entry;
 use super::Gcm;
 use super::ids::Ids;
 use super::journal::{Store, StoreError, Unusable};
-use super::recording::{Past, keep_writing};
+use super::past::Past;
+use super::recording::keep_writing;
 
 /// Times a store that cannot be read now is tried before the GCM begins without it.
 const LOADS: u32 = 4;

@@ -17,8 +17,8 @@ use trocar_model::{
 use super::answer::{Answer, Executed};
 use super::changes::UNDO;
 use super::journal::Asked;
+use super::on_return::RESTARTED;
 use super::sessions::Untold;
-use super::wanted::RESTARTED;
 use super::{Gcm, audit};
 
 /// Pause before a process is told once more that its own Stop counts.
@@ -164,7 +164,7 @@ impl Gcm {
                 if !is_back {
                     let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
                     for (id, component) in mine.filter(|(id, _)| halting.names(id)) {
-                        sessions.wanted.stop(id, component.state);
+                        sessions.on_return.stop(id, component.state);
                     }
                 }
                 false
@@ -250,10 +250,10 @@ impl Gcm {
                 let there = |state: ProcessState| state == ProcessState::Attached;
                 noted |= match graph.processes.get(&id.process) {
                     Some(process) if there(process.state) => {
-                        sessions.wanted.stop_again(id);
+                        sessions.on_return.stop_again(id);
                         component.state == RESTARTED
                     }
-                    _ => sessions.wanted.stop(id, component.state),
+                    _ => sessions.on_return.stop(id, component.state),
                 };
             }
             if noted {
@@ -280,7 +280,7 @@ impl Gcm {
                 }
                 let mut sessions = gcm.inner.sessions.lock();
                 if sessions.holder(&id.process) == Some(session) {
-                    sessions.wanted.stands(&id);
+                    sessions.on_return.stands(&id);
                 }
             });
         }

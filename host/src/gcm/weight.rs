@@ -7,7 +7,7 @@ use trocar_model::{Change, Entry, Plan};
 
 use super::journal::Record;
 
-/// What a record takes beside configurations and texts.
+/// Bytes of a record beside configurations and texts.
 const LEAST: usize = 256;
 
 pub(super) fn weight(record: &Record) -> usize {

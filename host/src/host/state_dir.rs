@@ -125,7 +125,7 @@ impl StateDir {
             path.display(),
             stands_in.path.display()
         );
-        // What was to be forgotten is not gone on with.
+        // A journal that was to be forgotten is not gone on with.
         stands_in.asked_for = (!fresh).then(|| path.to_owned());
         stands_in._claim = claim;
         Ok(stands_in)

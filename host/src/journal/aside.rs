@@ -12,7 +12,7 @@ use super::FILE;
 
 /// Journals that are kept aside.
 pub(super) const MOST: usize = 8;
-/// What follows the name of the file; a number follows that.
+/// Text between the name of the file and a number.
 const OLD: &str = ".old-";
 
 /// Tells whether a file of that name is a journal that was put aside.

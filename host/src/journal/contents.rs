@@ -8,7 +8,7 @@ use redb::{ReadTransaction, ReadableTable, ReadableTableMetadata, TableDefinitio
 use trocar_proto::journal::v1 as wire;
 
 use super::SCHEMA;
-use super::chain::Hash;
+use super::chain::{self, Hash};
 use super::codec::{self, Folded};
 use super::fault::{Bad, Res};
 use crate::gcm::{Loaded, Record, Snapshot};
@@ -34,7 +34,7 @@ pub struct Identity {
 pub struct Kept {
     /// The first is 1.
     pub number: u64,
-    /// Of the record as it is encoded.
+    /// Hash of the record as it is encoded.
     pub hash: Hash,
     pub record: Record,
 }
@@ -49,7 +49,7 @@ pub(super) struct Head {
     pub(super) bytes: u64,
 }
 
-/// What the audit keeps of records that a snapshot folds, and how many there may be before.
+/// Records that the audit keeps of those a snapshot folds, and how many there may be before.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     pub(super) records: u64,
@@ -97,7 +97,7 @@ pub(super) fn frame(txn: &ReadTransaction) -> Res<Frame> {
     let id = identity.id.as_slice().try_into().map_err(|_| Bad::damaged("its id has not 16 bytes"))?;
     let identity = Identity { id: u128::from_be_bytes(id), created_ns: identity.created_ns };
     let head: wire::Head = codec::decoded(&row(HEAD)?)?;
-    let hash = Hash::read(&head.hash, "the hash of the newest record")?;
+    let hash = chain::read(&head.hash, "the hash of the newest record")?;
     let head = Head { number: head.number, hash, bytes: head.bytes };
     Ok(Frame { identity, head, origin })
 }

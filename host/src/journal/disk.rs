@@ -14,7 +14,7 @@ use redb::{BackendError, DatabaseError, StorageBackend};
 
 use super::copy::MOST;
 
-/// What the disk answered so far.
+/// Answers of the disk so far.
 #[derive(Debug, Default)]
 pub(super) struct Answers {
     /// A sync failed.

@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json as object};
 use trocar_model::Entry;
 
 use super::contents::Kept;
-use super::lines::{lines, revision, time};
+use super::lines::{lines, time};
 use crate::gcm::{Answer, Asked};
 
 /// Returns a record as JSON.
@@ -21,7 +21,7 @@ pub fn json(kept: &Kept) -> Value {
     put("monotonic_ns", record.monotonic_ns.to_string().into());
     put("term", record.term.into());
     put("entry", kind(&record.entry).into());
-    if let Some(revision) = revision(record) {
+    if let Some(revision) = record.entry.revision() {
         put("revision", revision.into());
     }
     if let Entry::Changed { decision, .. } | Entry::Stopped { decision, .. } = &record.entry {

@@ -2,6 +2,7 @@
 //!
 //! Invariant: one line per change, by the words of plans; an entry without changes is one line.
 
+use prost_types::Timestamp;
 use trocar_model::{Entry, Plan};
 
 use crate::gcm::{Record, plan_lines};
@@ -42,38 +43,12 @@ pub fn lines(record: &Record) -> Vec<String> {
     said
 }
 
-/// Returns the revision that a record leads to; `None`: it leads to none.
-pub fn revision(record: &Record) -> Option<u64> {
-    match &record.entry {
-        Entry::Changed { revision, .. }
-        | Entry::Stopped { revision, .. }
-        | Entry::Cut { revision, .. }
-        | Entry::Brought { revision, .. }
-        | Entry::Gone { revision, .. } => Some(*revision),
-        Entry::Came { .. } | Entry::Failed { .. } | Entry::Noted => None,
-    }
-}
-
 /// Returns a time of day in UTC, by ISO 8601, to the millisecond.
 pub fn time(wall_ns: u64) -> String {
-    let ms = wall_ns / 1_000_000;
-    let (s, ms) = (ms / 1000, ms % 1000);
-    let (year, month, day) = date(s / 86_400);
-    let (hour, minute, second) = (s / 3600 % 24, s / 60 % 60, s % 60);
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
-}
-
-/// Year, month and day of a day counted from 1970-01-01, in the calendar that repeats every 400 years.
-fn date(days: u64) -> (u64, u64, u64) {
-    // Counted from 0000-03-01, so that the leap day is the last of a year.
-    let days = days + 719_468;
-    let (era, day) = (days / 146_097, days % 146_097);
-    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let day = day - (153 * month + 2) / 5 + 1;
-    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    (era * 400 + year + next, month, day)
+    let (seconds, ms) = (wall_ns / 1_000_000_000, wall_ns / 1_000_000 % 1000);
+    let text = Timestamp { seconds: seconds.cast_signed(), nanos: (ms as i32) * 1_000_000 }.to_string();
+    // Whole seconds have no fraction there.
+    if ms == 0 { text.replace('Z', ".000Z") } else { text }
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ pub use chain::Hash;
 pub use contents::{Identity, Kept};
 pub use fault::Fault;
 pub use json::json;
-pub use lines::{lines, revision, time};
+pub use lines::{lines, time};
 pub use store::RedbStore;
 pub use view::{Verified, View};
 

@@ -16,7 +16,7 @@ use super::opening::{Open, Opener, is_free, make_folder};
 use super::{FILE, codec};
 use crate::gcm::{Loaded, Record, Snapshot, Store, StoreError, Unusable};
 
-/// What the audit keeps: 100 000 records, 64 MiB. Pages take up to twice the bytes of their records, and the
+/// Bounds of the audit: 100 000 records, 64 MiB. Pages take up to twice the bytes of their records, and the
 /// file grows to twice its length: all of them have to fit in [`super::copy::MOST`].
 const KEPT: Bounds = Bounds { records: 100_000, bytes: 64 << 20, unfolded: 384 << 20 };
 

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use super::contents::{self, Frame, Identity, Kept};
 use super::copy::{self, Copy};
 use super::fault::{Bad, Fault, Res};
-use super::{FILE, Hash, lines};
+use super::{FILE, Hash};
 
 /// A journal as it was at one moment.
 pub struct View {
@@ -83,7 +83,7 @@ fn verified(txn: &redb::ReadTransaction, frame: &Frame) -> Res<Verified> {
     let (first, records) = contents::kept(txn)?;
     let (mut first_revision, mut last_revision, mut wrong) = (None, None, None);
     contents::walk(txn, frame, None, 0, &mut |kept| {
-        let revision = lines::revision(&kept.record);
+        let revision = kept.record.entry.revision();
         first_revision = first_revision.or(revision);
         last_revision = revision.or(last_revision);
         let folded_here = folded.as_ref().filter(|folded| folded.number == kept.number);

@@ -66,13 +66,13 @@ pub struct Record {
     /// the answer.
     #[prost(message, repeated, tag = "10")]
     pub changes: ::prost::alloc::vec::Vec<Change>,
-    /// What was decided.
+    /// The decision.
     #[prost(oneof = "record::Entry", tags = "16, 17, 18, 19, 20, 21, 22, 23")]
     pub entry: ::core::option::Option<record::Entry>,
 }
 /// Nested message and enum types in `Record`.
 pub mod record {
-    /// What was decided.
+    /// The decision.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Entry {
         /// The changes of a request, all of them done.

@@ -81,7 +81,7 @@ fn the_address_is_free_beside_a_child_that(does: &str, program: Option<&str>) {
         ["host", "--name", "host", "--listen", &address].map(OsString::from).to_vec();
     args.extend(["--plugins".into(), scene.world.plugins().into()]);
     args.extend(["--state".into(), scene.world.state().join("host").into()]);
-    // What the plugin did is not to be done again.
+    // The plugin is not to do that once more.
     args.push("--fresh".into());
     // Fails with what it printed where it cannot listen.
     let again = HostProcess::spawn(&scene.world, "again", &args);

@@ -6,7 +6,7 @@ use trocar_proto::v1;
 use trocar_proto::v1::step::Step as S;
 
 use super::{duration, to_struct};
-use trocar::gcm::{Fate, Isolated, Supervisor, Told, Wanted};
+use trocar::gcm::{Fate, Isolated, Orders, Supervisor, Told};
 
 pub(crate) fn step(request: &Request) -> v1::Step {
     let step = match request {
@@ -147,11 +147,11 @@ pub(crate) fn supervisor(who: &Supervisor) -> v1::SuperviseRequest {
 }
 
 /// Reads what a GCM wants of its supervisor, with the term of that GCM.
-pub(crate) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Wanted), Refusal> {
+pub(crate) fn wanted(told: &v1::SuperviseResponse) -> Result<(u64, Orders), Refusal> {
     let one = |a: &v1::ApartProcess| {
         Ok::<_, Refusal>(Isolated { process: Name::parse(&a.process)?, home: Name::parse(&a.home)? })
     };
     let isolated = told.apart.iter().map(one).collect::<Result<_, _>>()?;
     let restart = told.restart.iter().map(|name| Name::parse(name)).collect::<Result<_, _>>()?;
-    Ok((told.term, Wanted { isolated, restart }))
+    Ok((told.term, Orders { isolated, restart }))
 }

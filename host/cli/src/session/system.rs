@@ -13,7 +13,7 @@ use crate::convert;
 use crate::failure::Failure;
 use crate::mutation::{MutationArgs, Outcome};
 use crate::view::SystemView;
-use trocar::gcm::{Supervisor, Told, Wanted};
+use trocar::gcm::{Orders, Supervisor, Told};
 
 impl Session {
     /// Carries out all requests as one change.
@@ -105,7 +105,7 @@ impl Session {
     pub(crate) async fn supervise(
         &self,
         who: &Supervisor,
-    ) -> Result<Follow<'_, v1::SuperviseResponse, Result<(u64, Wanted), Refusal>>, Failure> {
+    ) -> Result<Follow<'_, v1::SuperviseResponse, Result<(u64, Orders), Refusal>>, Failure> {
         let ask = convert::supervisor(who);
         let stream =
             self.client().await?.attach.supervise(ask).await.map_err(|s| self.failed(&s))?.into_inner();

@@ -8,7 +8,7 @@ use trocar_proto::v1;
 use super::answers::{link, proxy, stats};
 use super::json::to_struct;
 use super::types::{execution_out, health, options_out, ports, safety, state};
-use crate::gcm::{Fate, Isolated, Supervisor, Told, Wanted};
+use crate::gcm::{Fate, Isolated, Orders, Supervisor, Told};
 use crate::lcm::{Detail, LinkDetail, Report};
 
 pub(crate) fn process(name: &Name, p: &Process) -> v1::Process {
@@ -65,7 +65,7 @@ pub(crate) fn supervisor(r: v1::SuperviseRequest) -> Result<Supervisor, Refusal>
 }
 
 /// Encodes the GCM's orders for a supervisor.
-pub(crate) fn wanted(term: u64, wanted: Wanted) -> v1::SuperviseResponse {
+pub(crate) fn wanted(term: u64, wanted: Orders) -> v1::SuperviseResponse {
     let one = |a: Isolated| v1::ApartProcess { process: a.process.to_string(), home: a.home.to_string() };
     v1::SuperviseResponse {
         term,

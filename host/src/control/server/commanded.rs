@@ -37,7 +37,7 @@ impl Commanded {
             *more += 1;
             return false;
         }
-        // Of too many to count, each is a record of its own.
+        // Each is a record of its own, when there are too many to count.
         if counted.len() < MOST {
             counted.insert(key.clone(), 0);
         }

@@ -136,7 +136,7 @@ impl Tie {
         loop {
             let why = session.serve().await;
             self.registration.revision = session.revision;
-            // What was ordered in it is taken back.
+            // Its orders are taken back.
             drop(session);
             log::warn!("the GCM at {} is lost ({why}); dialing again", self.addr);
             let mut pause = PAUSE.0;

@@ -102,12 +102,7 @@ impl Orders {
                     true => Some(local.quiet.clone().read_owned().await),
                     false => None,
                 };
-                let turn = match &change {
-                    Change::Connect { connection } | Change::Disconnect { connection, .. } => {
-                        Some(self.turn(connection.id.0))
-                    }
-                    _ => None,
-                };
+                let turn = wire_of(&change).map(|connection| self.turn(connection));
                 tokio::spawn(async move {
                     let _done = come(turn).await;
                     let answer = local.apply(change, by, busy).await;
@@ -145,6 +140,14 @@ impl Orders {
             }
             None => give(&answers, id, Err(unknown())).await,
         }
+    }
+}
+
+/// Returns the number of the connection that a change makes or takes away.
+fn wire_of(change: &Change) -> Option<u64> {
+    match change {
+        Change::Connect { connection } | Change::Disconnect { connection, .. } => Some(connection.id.0),
+        _ => None,
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use trocar_model::{ConnectOptions, PortId};
 
 use super::*;
-use crate::gcm::{Fate, Supervising, Supervisor, Told, Wanted};
+use crate::gcm::{Fate, Orders, Supervising, Supervisor, Told};
 
 fn who(process: &str) -> Registration {
     Registration { pid: 7, ..Registration::new(name(process), String::new()) }
@@ -143,7 +143,7 @@ async fn a_reset_for_another_revision_starts_no_process_again() {
     let (gcm, _lcm, _) = lost().await;
     gcm.told(&told(Fate::Failed, 3));
     let mut supervising = gcm.supervise(supervisor(&["far"]));
-    assert_eq!(supervising.next().await, Wanted::default());
+    assert_eq!(supervising.next().await, Orders::default());
     let reset = Request::Reset { targets: vec![Target::parse("far/c").unwrap()] };
     let options = ExecuteOptions { expected_revision: Some(99), ..ExecuteOptions::default() };
     let refused = gcm.execute(vec![reset], options).await.unwrap_err();
@@ -173,13 +173,13 @@ async fn a_process_is_started_again_by_who_keeps_it_and_by_nobody_else() {
     let refused = gcm.restart(&name("far"), deadline()).await.unwrap_err();
     assert_eq!(refused.reason(), "NOT_SUPERVISED");
     let mut other = gcm.supervise(supervisor(&["host"]));
-    assert_eq!(other.next().await, Wanted::default());
+    assert_eq!(other.next().await, Orders::default());
     tokio::spawn(obey(gcm.clone(), gcm.supervise(supervisor(&["far"])), true));
     let graph = gcm.restart(&name("far"), deadline()).await.unwrap();
     assert!(graph.processes[&name("far")].epoch > remote.epoch);
     assert_eq!(graph.processes[&name("far")].state, ProcessState::Attached);
     let mut late = gcm.supervise(supervisor(&["far"]));
-    assert_eq!(late.next().await, Wanted::default(), "what was asked before it was there is not asked of it");
+    assert_eq!(late.next().await, Orders::default(), "what was asked before it was there is not asked of it");
     let nothing = tokio::time::timeout(Duration::ZERO, other.next()).await;
     assert!(nothing.is_err(), "it does not keep that process: {nothing:?}");
 }

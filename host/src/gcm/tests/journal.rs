@@ -7,7 +7,7 @@ use serde_json::json;
 use trocar_model::{PortId, Wanted, WantedComponent};
 
 use super::super::fate::Fate;
-use super::super::recording::Past;
+use super::super::past::Past;
 use super::super::{Loaded, Record, Snapshot, Standing, StartError, Store, StoreError, Told, Unusable};
 use super::*;
 
@@ -88,6 +88,15 @@ impl Store for Kept {
 
 async fn gcm_with(store: &Kept) -> Gcm {
     Gcm::resume(GcmConfig::default(), Box::new(store.clone())).await.unwrap()
+}
+
+/// The GCM after one that ended in the middle of a request.
+async fn ended_within<T>(asking: tokio::task::JoinHandle<T>, first: Gcm, store: &Kept) -> Gcm {
+    asking.abort();
+    // It was aborted.
+    let _ = asking.await;
+    drop(first);
+    gcm_with(store).await
 }
 
 /// A process and everything that it brings along when it comes back.
@@ -198,11 +207,7 @@ async fn a_request_that_was_not_decided_when_the_gcm_ended_leaves_nothing() {
     for process in [&mut a, &mut b] {
         process.was_told(&first.graph());
     }
-    asking.abort();
-    let _ = asking.await;
-    drop(first);
-
-    let second = gcm_with(&store).await;
+    let second = ended_within(asking, first, &store).await;
     a.is_back(&second).await;
     b.is_back(&second).await;
     until(&second, "what was not decided is away", |_| a.lcm.state("a/new").is_none()).await;
@@ -361,7 +366,7 @@ async fn the_gcm_is_gone_with_its_last_handle_although_it_has_a_store() {
     }
 }
 
-/// What of a graph outlives the GCM.
+/// The part of a graph that outlives the GCM.
 fn desired(graph: &SystemGraph) -> Wanted {
     let wanted = |component: &Component| WantedComponent {
         class: component.class.clone(),
@@ -434,10 +439,7 @@ async fn what_was_begun_is_taken_away_also_where_something_is_missing() {
     assert_eq!(a.lcm.state("a/arm"), Some(State::Active));
     a.was_told(&first.graph());
     b.was_told(&first.graph());
-    asking.abort();
-    let _ = asking.await;
-    drop(first);
-    let second = gcm_with(&store).await;
+    let second = ended_within(asking, first, &store).await;
     a.is_back(&second).await;
     b.is_back(&second).await;
     let whole = |graph: &SystemGraph| graph.processes[&name("a")].state == ProcessState::Attached;

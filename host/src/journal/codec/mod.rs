@@ -13,7 +13,7 @@ use trocar_model::{Entry, Plan, Refusal};
 use trocar_proto::journal::v1 as wire;
 
 use super::SCHEMA;
-use super::chain::Hash;
+use super::chain::{self, Hash};
 use super::fault::{Bad, Res};
 use crate::gcm::Record;
 use classes::{Classes, Known};
@@ -57,7 +57,7 @@ pub(super) fn record(record: &Record, number: u64, before: &Hash) -> Vec<u8> {
 pub(super) fn record_in(bytes: &[u8]) -> Res<Linked> {
     check_schema(bytes, "records")?;
     let message: wire::Record = decoded(bytes)?;
-    let before = Hash::read(&message.before, "the hash of the record before it")?;
+    let before = chain::read(&message.before, "the hash of the record before it")?;
     let number = message.number;
     let record = read_record(message).map_err(|refusal| Bad::unreadable(&refusal))?;
     Ok(Linked { number, before, record })

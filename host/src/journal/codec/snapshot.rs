@@ -11,7 +11,7 @@ use super::{answer, check_schema, decoded, entry};
 use crate::control::convert::{connection_in, connection_out};
 use crate::gcm::{Remembered, Snapshot};
 use crate::journal::SCHEMA;
-use crate::journal::chain::Hash;
+use crate::journal::chain::{self, Hash};
 use crate::journal::fault::{Bad, Res};
 
 /// A snapshot as it lies in the file.
@@ -59,7 +59,7 @@ fn remembered(r: &Remembered, classes: &mut Classes) -> wire::Remembered {
 pub(in crate::journal) fn snapshot_in(bytes: &[u8]) -> Res<Folded> {
     check_schema(bytes, "the snapshot")?;
     let message: wire::Snapshot = decoded(bytes)?;
-    let (number, hash) = (message.number, Hash::read(&message.hash, "the hash of its last record")?);
+    let (number, hash) = (message.number, chain::read(&message.hash, "the hash of its last record")?);
     let snapshot = read_snapshot(message).map_err(|refusal| Bad::unreadable(&refusal))?;
     Ok(Folded { number, hash, snapshot })
 }

@@ -8,13 +8,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use trocar_model::{ComponentId, Health, Name, State, StopReason, SystemGraph};
 
 #[derive(Default)]
-pub(super) struct Wanted {
+pub(super) struct OnReturn {
     states: BTreeMap<ComponentId, State>,
     /// Processes that were started again and have not got all back yet.
     unfinished: BTreeSet<Name>,
 }
 
-impl Wanted {
+impl OnReturn {
     /// Notes that a process gets back the components it was to have.
     pub(super) fn begin(&mut self, process: &Name) {
         self.unfinished.insert(process.clone());
