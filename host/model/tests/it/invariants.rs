@@ -120,7 +120,7 @@ fn any_options() -> impl Strategy<Value = ConnectOptions> {
     )
 }
 
-fn any_request() -> impl Strategy<Value = Request> {
+pub(crate) fn any_request() -> impl Strategy<Value = Request> {
     let given = prop::sample::select(vec![None, None, Some(json!({})), Some(json!({"port": "x"}))]);
     let patch = prop::sample::select(vec![
         json!({}),

@@ -22,3 +22,4 @@ mod tagging;
 mod types;
 mod units;
 mod values;
+mod wanting;
