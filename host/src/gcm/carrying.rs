@@ -280,12 +280,26 @@ impl Gcm {
         by: (Decision, Instant),
         plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
+        self.claim_for(text::requested(requests), requests, by, plan).await
+    }
+
+    /// Claims the part of these requests, for something that is no request: `doing` names it.
+    ///
+    /// # Errors
+    /// Those of [`Gcm::claim_part`].
+    pub(super) async fn claim_for<P: Into<Planned>>(
+        &self,
+        doing: String,
+        requests: &[Request],
+        by: (Decision, Instant),
+        plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
+    ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
         let named = Part::named(&self.graph(), requests);
         let now = move || {
             let graph = self.graph();
             plan(&graph).map(|plan| (graph, plan.into()))
         };
-        self.inner.claims.claim(named, by, now).await
+        self.inner.claims.claim((named, doing), by, now).await
     }
 }
 

@@ -150,7 +150,7 @@ struct Entry {
     part: Part,
     under_way: bool,
     marks: Marks,
-    /// The change it waits for now: "Start host/robot".
+    /// What is to be done, and once it is begun the change it waits for now: "Start host/robot".
     doing: String,
 }
 
@@ -171,6 +171,13 @@ impl List {
     fn decide(&mut self) -> u64 {
         self.last += 1;
         self.last
+    }
+
+    /// Returns what the request does that another one, with this number and part, has to wait for.
+    fn before(&self, number: u64, part: &Part) -> Option<String> {
+        let mut others = self.entries.iter().filter(|e| e.number != number);
+        let before = others.find(|e| (e.under_way || e.number < number) && e.part.meets(part));
+        before.map(|e| e.doing.clone())
     }
 }
 
@@ -253,11 +260,11 @@ impl Claims {
     /// The refusals of `plan`; Busy when others took all the time.
     pub(super) async fn claim(
         &self,
-        named: Part,
+        (named, doing): (Part, String),
         (since, deadline): (Decision, Instant),
         plan: impl Fn() -> Result<(Arc<SystemGraph>, Planned), Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
-        let claim = self.queue(named.clone(), since);
+        let claim = self.queue(named.clone(), doing, since);
         let mut news = claim.news();
         loop {
             news.mark_unchanged();
@@ -266,16 +273,17 @@ impl Claims {
                 Err(behind) => behind,
             };
             if tokio::time::timeout_at(deadline.into(), news.changed()).await.is_err() {
-                return Err(Refusal::Busy { doing: behind });
+                // A request goes on to its next change without news for those that wait.
+                let doing = self.list.lock().before(claim.number, &named).unwrap_or(behind);
+                return Err(Refusal::Busy { doing });
             }
         }
     }
 
-    fn queue(&self, part: Part, since: Decision) -> Claim<'_> {
+    fn queue(&self, part: Part, doing: String, since: Decision) -> Claim<'_> {
         let mut list = self.list.lock();
         list.next += 1;
-        let number = list.next;
-        let (marks, doing) = (Marks::default(), "another request".to_owned());
+        let (number, marks) = (list.next, Marks::default());
         list.entries.push(Entry { number, part, under_way: false, marks, doing });
         Claim { claims: self, number, since }
     }
@@ -354,12 +362,7 @@ impl Claim<'_> {
         plan: impl FnOnce() -> Result<(Arc<SystemGraph>, Planned), Refusal>,
     ) -> Result<Result<(Arc<SystemGraph>, Plan), Refusal>, String> {
         let mut list = self.claims.list.lock();
-        let first = |part: &Part, list: &List| {
-            let mut others = list.entries.iter().filter(|e| e.number != self.number);
-            let before = others.find(|e| (e.under_way || e.number < self.number) && e.part.meets(part));
-            before.map(|e| e.doing.clone())
-        };
-        if let Some(doing) = first(named, &list) {
+        if let Some(doing) = list.before(self.number, named) {
             return Err(doing);
         }
         let (graph, Planned { plan, is_whole }) = match plan() {
@@ -367,7 +370,7 @@ impl Claim<'_> {
             Err(refusal) => return Ok(Err(refusal)),
         };
         let part = named.clone().planned(&plan, is_whole);
-        let doing = first(&part, &list);
+        let doing = list.before(self.number, &part);
         if let Some(entry) = list.entries.iter_mut().find(|e| e.number == self.number) {
             entry.under_way = doing.is_none();
             entry.part = part;
@@ -400,6 +403,25 @@ mod tests {
         }
         assert!(claims.is_stopped_since(&arm, before), "to the safe side");
         assert!(!claims.is_stopped_since(&arm, claims.arrive()));
+    }
+
+    #[tokio::test]
+    async fn who_waits_in_vain_is_told_for_what_from_the_first_moment_and_as_it_is_at_last() {
+        let claims = Claims::default();
+        let part = || Part { ids: [ComponentId::parse("host/arm").unwrap()].into(), ..Part::default() };
+        let plan = || Ok((Arc::new(SystemGraph::default()), Plan::default().into()));
+        let claim = async |asked: &str| {
+            let until = Instant::now() + std::time::Duration::from_millis(20);
+            claims.claim((part(), asked.to_owned()), (Decision::NONE, until), plan).await
+        };
+        let (first, ..) = claim("Start host/arm and 2 more").await.unwrap();
+        let waited = claim("Reset host/arm").await.map(|_| ()).unwrap_err();
+        assert_eq!(waited, Refusal::Busy { doing: "Start host/arm and 2 more".into() });
+        let (waited, ()) = tokio::join!(claim("Reset host/arm"), async {
+            tokio::task::yield_now().await;
+            first.doing("Start host/eye".into());
+        });
+        assert_eq!(waited.map(|_| ()).unwrap_err(), Refusal::Busy { doing: "Start host/eye".into() });
     }
 
     #[test]

@@ -192,7 +192,8 @@ impl Gcm {
             let until = Instant::now() + self.inner.each_change;
             // The claim is of all that there may be, not of a plan.
             let all = |_: &SystemGraph| Ok(Planned { plan: Plan::default(), is_whole: false });
-            let claim = match self.claim_part(&part, (since, until), all).await {
+            let doing = format!("comparing what process {process} has with what was decided");
+            let claim = match self.claim_for(doing, &part, (since, until), all).await {
                 Ok((claim, ..)) => claim,
                 Err(refusal) => {
                     log::warn!("process {process} may have something else than is wanted: {refusal}");

@@ -27,7 +27,9 @@ impl Gcm {
         for connection in missing {
             let (client, server) = (connection.client.clone(), connection.server.clone());
             let part = [Request::Connect { client, server, options: connection.options.clone() }];
-            let claim = self.claim_part(&part, (Decision::NONE, deadline), |_| Ok(Plan::default())).await;
+            let (by, doing) =
+                ((Decision::NONE, deadline), format!("linking connection {} again", connection.id.0));
+            let claim = self.claim_for(doing, &part, by, |_| Ok(Plan::default())).await;
             let linked = match claim {
                 Ok(_claim) if !is_missing(&self.graph(), &connection) => Ok(()),
                 Ok(_claim) => self.link(&connection, deadline).await.map(|_| ()),

@@ -54,8 +54,10 @@ impl Gcm {
         };
         let since = self.inner.claims.arrive();
         let (claim, plan) = loop {
+            let doing = format!("making the components of process {process} again");
+            let by = (since, Instant::now() + self.inner.each_change);
             let planned = tokio::select! {
-                planned = self.claim_part(&[], (since, Instant::now() + self.inner.each_change), decide) => planned,
+                planned = self.claim_for(doing, &[], by, decide) => planned,
                 () = self.gone(&process, session) => return,
             };
             match planned {

@@ -2,7 +2,7 @@
 //!
 //! Invariant: one line per change, in order; `+` adds or sets going, `~` alters, `-` takes away or stops.
 
-use trocar_model::{Change, Plan, Verb};
+use trocar_model::{Change, Plan, Request, Target, Verb, Which};
 
 use crate::system_file::words::{executions, settings};
 
@@ -68,5 +68,34 @@ pub(crate) fn asked(change: &Change) -> String {
         Change::Run { id, verb, .. } => format!("{verb} {id}"),
         Change::Connect { connection: c } => format!("Connect {} to {}", c.client, c.server),
         Change::Disconnect { connection: c, .. } => format!("Disconnect {} from {}", c.client, c.server),
+    }
+}
+
+/// Returns the name of requests that others wait for: "Start host/robot and 2 more".
+pub(super) fn requested(requests: &[Request]) -> String {
+    let of = |verb: &str, targets: &[Target]| match targets {
+        [] => verb.to_owned(),
+        [one] => format!("{verb} {one}"),
+        [first, rest @ ..] => format!("{verb} {first} and {} more", rest.len()),
+    };
+    let one = |request: &Request| match request {
+        Request::Create { id, .. } | Request::CreateIsolated { id, .. } => format!("Create {id}"),
+        Request::Remove { id, .. } => format!("Remove {id}"),
+        Request::Forget { process } => format!("Forget {process}"),
+        Request::Configure { id, .. } => format!("Configure {id}"),
+        Request::Start { targets } => of("Start", targets),
+        Request::Stop { targets } => of("Stop", targets),
+        Request::Resume { targets } => of("Resume", targets),
+        Request::Reset { targets } => of("Reset", targets),
+        Request::Connect { client, server, .. } => format!("Connect {client} to {server}"),
+        Request::Disconnect { which: Which::Pair { client, server } } => {
+            format!("Disconnect {client} from {server}")
+        }
+        Request::Disconnect { which: Which::Id(number) } => format!("Disconnect connection {}", number.0),
+    };
+    match requests {
+        [] => "another request".to_owned(),
+        [request] => one(request),
+        [first, rest @ ..] => format!("{} and {} more requests", one(first), rest.len()),
     }
 }
