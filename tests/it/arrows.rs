@@ -56,6 +56,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "trocar-tests",
         &["trocar", "trocar-links", "trocar-rt", "trocar-sdk", "trocar-proto", "trocar-conform-classes"],
     ),
+    ("trocar-simulation", &["trocar", "trocar-lcm-api", "trocar-links", "trocar-model", "trocar-proto"]),
     ("trocar-torture", &["trocar-proto"]),
 ];
 

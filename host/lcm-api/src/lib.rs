@@ -17,6 +17,7 @@ use trocar_model::{
     StepTimes, Target, Warnings,
 };
 
+pub mod clock;
 mod order;
 
 pub use order::{Decision, Lease, Order};
@@ -167,6 +168,8 @@ pub enum News {
     /// Warnings of the process itself; they replace the earlier ones.
     Warnings(Warnings),
     StoppedHere(StoppedHere),
+    /// A change was done after its orderer had given it up.
+    Late(Box<Change>, Report),
 }
 
 /// State of the half of a connection to another process.

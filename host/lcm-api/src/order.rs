@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
+use crate::clock;
+
 /// Place of a decision among those of all GCMs that a process has had: a later one is greater.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Decision(pub u64);
@@ -54,7 +56,7 @@ impl Lease {
     /// anything else can tell it.
     pub fn has_ended(&self) -> bool {
         self.heard.as_ref().is_some_and(|(heard, silence)| {
-            heard.has_changed().is_err() || heard.borrow().elapsed() > *silence
+            heard.has_changed().is_err() || clock::since(*heard.borrow()) > *silence
         })
     }
 

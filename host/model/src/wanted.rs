@@ -153,6 +153,8 @@ impl Wanted {
                 self.counts(*revision, 0);
                 self.components.retain(|id, _| id.process != *process);
                 self.components.extend(components.iter().cloned());
+                // With all its connections, also those to other processes.
+                self.connections.retain(|_, connection| !connection.ends_in(process));
                 for connection in connections {
                     self.connect(connection);
                 }

@@ -23,8 +23,9 @@ mod web;
 #[cfg(test)]
 mod tests;
 
+pub use attach::{AttachEdge, Outbound};
 pub use caller::{PortRules, Tokened, Viewer};
 pub use dial::dial;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
-pub use uplink::{Begin, Uplink, UplinkError};
+pub use uplink::{Begin, Inbound, Line, Refused, Uplink, UplinkError, Way};

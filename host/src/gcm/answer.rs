@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use trocar_lcm_api::Report;
+use trocar_lcm_api::{Report, clock};
 use trocar_model::{Plan, Refusal, Skipped, Target};
 
 use super::text;
@@ -25,7 +25,7 @@ pub struct ExecuteOptions {
 
 impl ExecuteOptions {
     pub(super) fn until(&self) -> Instant {
-        self.deadline.unwrap_or_else(|| Instant::now() + WITHIN)
+        self.deadline.unwrap_or_else(|| clock::now() + WITHIN)
     }
 }
 

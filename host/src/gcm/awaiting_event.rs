@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc::Receiver;
 use tokio::sync::watch;
-use trocar_lcm_api::{Item, Selection};
+use trocar_lcm_api::{Item, Selection, clock};
 use trocar_model::{ComponentId, MemberId, Refusal, State, SystemGraph};
 
 use super::{Gcm, given_ns};
@@ -34,7 +34,7 @@ impl Gcm {
     /// # Errors
     /// An absent member is named, with those that exist; ComponentFault of a component that cannot send.
     pub async fn listen(&self, member: &MemberId, until: Instant) -> Result<Listening, Refusal> {
-        let (began, graphs) = (Instant::now(), self.watch());
+        let (began, graphs) = (clock::now(), self.watch());
         let feed = self.feed(member, until).await?;
         Ok(Listening { gcm: self.clone(), member: member.clone(), began, until, graphs, feed })
     }
@@ -47,7 +47,7 @@ impl Gcm {
             let lcm = self.lcm_of(&id.process)?;
             let selection = Selection { path: member.to_string(), ..Selection::default() };
             match lcm.subscribe(vec![selection]).await {
-                Err(Refusal::ComponentNotFound { .. }) if Instant::now() < until => {
+                Err(Refusal::ComponentNotFound { .. }) if clock::now() < until => {
                     tokio::time::sleep(AGAIN).await;
                 }
                 listening => return listening,
@@ -72,7 +72,7 @@ impl Listening {
                     Some(item) => return Ok(item),
                     // The component was made anew, is being removed, or does not have this event any more.
                     None => {
-                        tokio::time::sleep_until((Instant::now() + AGAIN).min(until).into()).await;
+                        tokio::time::sleep_until((clock::now() + AGAIN).min(until).into()).await;
                         self.feed = self.gcm.feed(&self.member, until).await?;
                         continue;
                     }
@@ -88,7 +88,7 @@ impl Listening {
                 },
             };
             if let Err(refusal) = able(&graph, &id) {
-                let until = (Instant::now() + UNDER_WAY).min(until);
+                let until = (clock::now() + UNDER_WAY).min(until);
                 let last = tokio::time::timeout_at(until.into(), self.feed.recv());
                 return last.await.ok().flatten().ok_or(refusal);
             }

@@ -6,6 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use trocar_lcm_api::clock;
 use trocar_model::{ComponentId, Refusal, State, SystemGraph};
 
 use super::Gcm;
@@ -22,7 +23,7 @@ impl Gcm {
         states: &[State],
         deadline: Instant,
     ) -> Result<Arc<SystemGraph>, Refusal> {
-        let began = Instant::now();
+        let began = clock::now();
         let mut graphs = self.watch();
         loop {
             let graph = graphs.borrow_and_update().clone();

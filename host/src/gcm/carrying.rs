@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use trocar_lcm_api::{Decision, Order, Report};
+use trocar_lcm_api::{Decision, Order, Report, clock};
 use trocar_model::{
     Change, ComponentId, Entry, Health, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph,
     Target, Verb, allowed, inverse,
@@ -44,7 +44,7 @@ impl<'a> Carrying<'a> {
     pub(super) async fn all_or_nothing(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
         for (i, change) in done.plan.changes.iter().enumerate() {
             let doomed = is_doomed(change, &done.plan.changes[i + 1..]);
-            let until = if doomed { deadline.min(Instant::now() + HUNG) } else { deadline };
+            let until = if doomed { deadline.min(clock::now() + HUNG) } else { deadline };
             // Callers that wait for what is removed are told that it is gone, not that it stands still.
             let asked = if doomed { as_removal(change) } else { change.clone() };
             match self.one(&asked, until).await {
@@ -60,7 +60,8 @@ impl<'a> Carrying<'a> {
         Ok(())
     }
 
-    /// Takes the done changes back, but for one thing: an actuator that was stopped stays stopped.
+    /// Takes the done changes back, but for two things: an actuator that was stopped stays stopped, and so
+    /// does what somebody else has stopped meanwhile.
     pub(super) async fn undo(&self, done: &[Change]) {
         let undo = inverse(&Plan { changes: done.to_vec(), skipped: Vec::new() });
         for change in undo.changes {
@@ -69,7 +70,15 @@ impl<'a> Carrying<'a> {
                 self.gcm.stays_stopped(id_of(&change), self.claim.decision());
                 continue;
             }
-            match self.one(&change, Instant::now() + UNDO).await {
+            let decision = match &change {
+                // By the grant that it had, so that a Stop that came since holds it off.
+                Change::Run { id, to: State::Active, .. } => match self.gcm.granted_by(id) {
+                    Some(grant) => grant,
+                    None => continue,
+                },
+                _ => self.claim.decision(),
+            };
+            match self.one_of(&change, decision, clock::now() + UNDO).await {
                 Ok(_) => {}
                 // Its process makes up for it when it is back: it is to have what was decided.
                 Err(Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. }) => {
@@ -77,18 +86,20 @@ impl<'a> Carrying<'a> {
                 }
                 Err(refusal) => {
                     log::error!("undoing it ({}): {refusal}", text::line(&change));
+                    // Whatever hangs, it may not go on moving.
+                    if let Change::Run { id, from: State::Active, .. } = &change {
+                        self.gcm.stop_late(id, self.claim.decision());
+                    }
                     self.gcm.not_taken_back(&change, self.claim.decision());
                 }
             }
         }
     }
 
-    /// Notes whether the LCM has said what became of an order to set a component in motion.
+    /// Notes that the LCM has said what became of an order to set a component in motion.
     fn answered(&self, id: &ComponentId, done: &Result<Report, Refusal>) {
-        let mut sessions = self.gcm.inner.sessions.lock();
-        match done {
-            Err(Refusal::ProcessLost { .. } | Refusal::LcmTimeout { .. }) => sessions.not_answered(id),
-            _ => sessions.answered(id),
+        if !matches!(done, Err(Refusal::ProcessLost { .. } | Refusal::LcmTimeout { .. })) {
+            self.gcm.inner.sessions.lock().answered(id);
         }
     }
 
@@ -101,8 +112,19 @@ impl<'a> Carrying<'a> {
     /// Carries out one change. A component that a Stop named meanwhile is not set in motion, or not left so.
     /// A component that hangs and is to be stopped or removed is not waited for.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
+        self.one_of(change, self.claim.decision(), deadline).await
+    }
+
+    /// Does the same as [`Carrying::one`], for a change of an earlier decision: a Stop that came between
+    /// holds it off.
+    pub(super) async fn one_of(
+        &self,
+        change: &Change,
+        decision: Decision,
+        deadline: Instant,
+    ) -> Result<Report, Refusal> {
         self.claim.doing(text::asked(change));
-        let order = Order { decision: self.claim.decision(), ..Order::from(deadline) };
+        let order = Order { decision, ..Order::from(deadline) };
         let Change::Run { id, verb, to: State::Active, .. } = change else {
             return tokio::select! {
                 biased;
@@ -113,13 +135,15 @@ impl<'a> Carrying<'a> {
         self.not_stopped(id, *verb)?;
         let to = State::Stopped(StopReason::Requested);
         let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to };
+        // From now on it may move, until its process has said what became of this.
+        self.gcm.inner.sessions.lock().not_answered(id);
         let done = tokio::select! {
             biased;
             done = self.gcm.one(change, order) => done,
             refusal = self.given_up(change) => {
                 // The caller is told that the component stands still only when its Stop is done or known to
                 // hang.
-                if let Err(e) = self.gcm.one(&stop, (Instant::now() + HUNG).into()).await {
+                if let Err(e) = self.gcm.one(&stop, (clock::now() + HUNG).into()).await {
                     log::error!("{} was given up: {e}", text::asked(change));
                 }
                 return Err(refusal);
@@ -195,6 +219,14 @@ impl Gcm {
         });
     }
 
+    /// Returns the decision by which a component may run; `None`: it may not.
+    pub(super) fn granted_by(&self, id: &ComponentId) -> Option<Decision> {
+        let epoch = self.graph().processes.get(&id.process).map_or(0, |process| process.epoch);
+        let wanted = self.inner.ledger.wanted();
+        let grant = wanted.components.get(id).and_then(|component| component.grant);
+        grant.filter(|_| wanted.may_run(id, epoch)).map(|grant| Decision(grant.decision))
+    }
+
     /// Puts on record what could not be taken back: it is there, and is wanted from now on.
     fn not_taken_back(&self, undo: &Change, decision: Decision) {
         let decision = decision.0;
@@ -232,8 +264,9 @@ impl Gcm {
         });
     }
 
-    /// Puts on record that an actuator stands still that a refused request had stopped.
-    fn stays_stopped(&self, id: &ComponentId, decision: Decision) {
+    /// Puts on record that a component stands still: an actuator that a refused request had stopped, or what
+    /// a Stop holds off.
+    pub(super) fn stays_stopped(&self, id: &ComponentId, decision: Decision) {
         let targets = vec![Target::One(id.clone())];
         self.inner.ledger.enter(|_| {
             let revision = self.graph().revision;

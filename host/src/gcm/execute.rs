@@ -6,7 +6,7 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
-use trocar_lcm_api::Decision;
+use trocar_lcm_api::{Decision, clock};
 use trocar_model::{
     Change, ComponentId, Entry, Name, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph, Verb,
     brief, plan_all,
@@ -51,7 +51,7 @@ impl Gcm {
         if options.validate_only || options.request_id.is_empty() {
             return carried_out.await;
         }
-        let known = self.inner.answers.lock().ask(&options.request_id, asked, Instant::now());
+        let known = self.inner.answers.lock().ask(&options.request_id, asked, clock::now());
         match known {
             Known::New(tell) => {
                 let answer = carried_out.await;

@@ -130,6 +130,10 @@ fn enter(
     loose: &mut Vec<After>,
 ) -> bool {
     match news {
+        News::Late(change, report) => {
+            enter(gcm, graph, process, News::State(report), loose);
+            loose.push(After::Late(process.clone(), change));
+        }
         News::State(report) => {
             let is_newest = gcm.inner.sessions.lock().is_newest(&report);
             let graph = Arc::make_mut(graph);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
-use trocar_lcm_api::Decision;
+use trocar_lcm_api::{Decision, clock};
 use trocar_model::{
     Change, ComponentId, Name, Plan, Process, ProcessState, Refusal, Request, SystemGraph, Target,
 };
@@ -109,7 +109,7 @@ impl Gcm {
         if isolated.is_empty() {
             return Ok(());
         }
-        let began = Instant::now();
+        let began = clock::now();
         self.inner.isolation.send_modify(|all| all.want(isolated.iter().cloned()));
         let mut graphs = self.watch();
         for Isolated { process, .. } in isolated {
@@ -136,7 +136,7 @@ impl Gcm {
 
     /// Returns the reason why a process counts as not up: it was not heard since then.
     fn not_heard(&self, process: &Name, began: Instant) -> String {
-        let within = began.elapsed().as_secs_f64();
+        let within = clock::since(began).as_secs_f64();
         let ended = self.graph().processes.get(process).map(|p| p.last_exit.clone());
         let ended = ended.filter(|exit| !exit.is_empty()).map(|exit| format!("; it {exit}"));
         format!("nothing was heard of it within {within:.1} s{}", ended.unwrap_or_default())
@@ -171,7 +171,7 @@ impl Gcm {
         graphs: &mut watch::Receiver<Arc<SystemGraph>>,
         deadline: Instant,
     ) -> Result<Arc<SystemGraph>, Refusal> {
-        let began = Instant::now();
+        let began = clock::now();
         self.inner.isolation.send_modify(|all| all.restart(process));
         log::info!("process {process} is to be started again");
         let settled = |p: &Process| match p.state {

@@ -6,11 +6,11 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
+use trocar_lcm_api::clock;
 use trocar_model::{Entry, Wanted};
 use trocar_rt::os::now_ns;
 
@@ -23,8 +23,8 @@ const PENDING: (usize, usize) = (4096, 64 << 20);
 /// Time after which a record that is not durable is no more waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Rung when a record waits for the store.
-pub(super) type Bell = mpsc::SyncSender<()>;
+/// Rings when a record waits for the store; nothing more comes when it is dropped.
+pub(super) type Bell = Box<dyn Fn() + Send + Sync>;
 
 /// State of the journal.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -93,7 +93,7 @@ pub(super) struct Batch {
 pub(super) fn at(wall_ns: u64) -> Instant {
     let (now, was) = (SystemTime::now(), UNIX_EPOCH + Duration::from_nanos(wall_ns));
     let ago = now.duration_since(was).unwrap_or_default();
-    Instant::now().checked_sub(ago).unwrap_or_else(Instant::now)
+    clock::now().checked_sub(ago).unwrap_or_else(clock::now)
 }
 
 /// Returns the time of day, ns since 1970 (UTC).
@@ -130,8 +130,7 @@ impl Ledger {
         let (asked, answer) = request.unzip();
         let (term, wall_ns, monotonic_ns) = (self.term, wall_ns(), now_ns());
         held.put(Record { wall_ns, monotonic_ns, term, entry, asked, answer });
-        // A bell that is full rings already.
-        let _ = bell.try_send(());
+        bell();
         held.last
     }
 

@@ -3,12 +3,10 @@
 //! Invariant: after a report no connection of that component ends in a port it does not have or that does not
 //! fit any more; every connection that goes is logged and is a new revision.
 
-use std::time::Instant;
-
-use trocar_lcm_api::Report;
+use trocar_lcm_api::{Report, clock};
 use trocar_model::{
-    Change, Component, ComponentId, Connection, ConnectionId, Entry, Refusal, State, StopReason, SystemGraph,
-    Verb,
+    Change, Component, ComponentId, Connection, ConnectionId, Entry, Name, Refusal, State, StopReason,
+    SystemGraph, Verb,
 };
 
 use super::Gcm;
@@ -27,6 +25,8 @@ pub(crate) enum After {
     Failed(ComponentId),
     /// A component that ran was stopped by something else than a request, and stands so.
     Rests(ComponentId, State),
+    /// A process has done a change that was given up.
+    Late(Name, Box<Change>),
 }
 
 impl After {
@@ -107,7 +107,7 @@ fn cut(c: &Connection) -> String {
 
 impl Gcm {
     async fn cut(&self, connection: Connection) -> Result<(), Refusal> {
-        let deadline = Instant::now() + UNDO;
+        let deadline = clock::now() + UNDO;
         if !connection.is_near() {
             return self.unlink(&connection, false, deadline).await.map(|_| ());
         }
@@ -127,6 +127,7 @@ impl Gcm {
                     left.extend(is_left.then_some(connection));
                 }
                 After::Failed(component) => _ = self.enter(Entry::Failed { component }),
+                After::Late(process, change) => self.straighten(process, *change),
                 // It goes on by another grant alone.
                 After::Rests(id, to) => {
                     let rest = Change::Run { id, verb: Verb::Stop, from: State::Active, to };

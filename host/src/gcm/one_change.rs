@@ -6,10 +6,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use trocar_lcm_api::{Order, Report};
-use trocar_model::{Change, Component, Name, Plan, Refusal};
+use trocar_model::{Change, Component, Connection, Name, Plan, Refusal};
 
 use super::changes::id_of;
-use super::observed::{observe, stand_by};
+use super::observed::{After, observe, stand_by};
 use super::{Gcm, text};
 
 /// Time an LCM gets beyond the deadline: it keeps deadlines itself and says what hung; after this it is not
@@ -20,6 +20,16 @@ impl Gcm {
     /// Carries out one change: done by the LCM, then entered in the graph.
     pub(super) async fn one(&self, change: &Change, order: Order) -> Result<Report, Refusal> {
         let (process, deadline) = (&id_of(change).process, order.deadline);
+        let session = self.inner.sessions.lock().holder(process);
+        let before = self.sessions_of(change);
+        if let Change::Connect { connection } = change {
+            // Whatever becomes of it, some process may have it under this number.
+            self.edit_if(|graph| {
+                let graph = Arc::make_mut(graph);
+                graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
+                false
+            });
+        }
         let asking = async {
             match change {
                 Change::Connect { connection } if !connection.is_near() => {
@@ -42,23 +52,70 @@ impl Gcm {
                 return Err(refusal);
             }
         };
-        let mut loose = Vec::new();
+        let loose = self.done_in(process, session, change, &report)?;
+        if let Change::Destroy { id, .. } = change {
+            self.inner.holds.lock().removed(id);
+        }
+        if let Change::Disconnect { connection, .. } = change {
+            self.cut_of_returned(connection, &before);
+        }
+        self.cut_off(loose);
+        Ok(report)
+    }
+
+    /// Enters a change that a process has done, as it told in that session.
+    ///
+    /// # Errors
+    /// ProcessLost: it has come anew meanwhile, with what it has.
+    fn done_in(
+        &self,
+        process: &Name,
+        session: Option<u64>,
+        change: &Change,
+        report: &Report,
+    ) -> Result<Vec<After>, Refusal> {
+        let (mut loose, mut is_over) = (Vec::new(), false);
         self.edit(|graph| {
-            let is_newest = self.inner.sessions.lock().is_newest(&report);
+            let mut sessions = self.inner.sessions.lock();
+            is_over = sessions.holder(process) != session && session.is_some();
+            if is_over {
+                return;
+            }
+            let is_newest = sessions.is_newest(report);
+            drop(sessions);
             let known = graph.components.get(&report.id).cloned();
             let revision = graph.revision;
             graph.apply(&Plan { changes: vec![change.clone()], skipped: Vec::new() });
             graph.revision = revision;
-            loose = observe(graph, &report);
+            loose = observe(graph, report);
             if !is_newest {
                 stand_by(graph, &report.id, known);
             }
         });
-        if let Change::Destroy { id, .. } = change {
-            self.inner.holds.lock().removed(id);
-        }
-        self.cut_off(loose);
-        Ok(report)
+        if is_over { Err(Refusal::lost(process.clone())) } else { Ok(loose) }
+    }
+
+    /// Returns the sessions of the processes that a change of a connection concerns.
+    fn sessions_of(&self, change: &Change) -> Vec<(Name, Option<u64>)> {
+        let (Change::Connect { connection } | Change::Disconnect { connection, .. }) = change else {
+            return Vec::new();
+        };
+        let sessions = self.inner.sessions.lock();
+        let ends = [&connection.client, &connection.server].map(|end| end.component.process.clone());
+        ends.into_iter().map(|process| (process.clone(), sessions.holder(&process))).collect()
+    }
+
+    /// Has a process cut its half of a connection that was away when that was cut, and came back before the
+    /// graph said so.
+    fn cut_of_returned(&self, connection: &Connection, before: &[(Name, Option<u64>)]) {
+        let sessions = self.inner.sessions.lock();
+        let came = before.iter().filter(|(process, was)| {
+            let holder = sessions.holder(process);
+            holder.is_some() && holder != *was
+        });
+        let strays: Vec<_> = came.map(|(process, _)| (process.clone(), connection.clone())).collect();
+        drop(sessions);
+        self.cut_strays(strays);
     }
 
     /// Waits for an LCM as long as it may take.
@@ -77,11 +134,16 @@ impl Gcm {
         asked.unwrap_or_else(|_| Err(timeout()))
     }
 
-    /// Enters the state of components, where nothing newer is known of them.
-    pub(super) fn enter_states(&self, reports: &[&Report]) {
+    /// Enters the state of components of a process, as it told in that session, where nothing newer is known
+    /// of them.
+    pub(super) fn enter_states(&self, process: &Name, session: Option<u64>, reports: &[&Report]) {
         let mut loose = Vec::new();
         self.edit_if(|graph| {
             let (mut sessions, mut changed) = (self.inner.sessions.lock(), false);
+            // One that has come anew meanwhile has told how it stands.
+            if session.is_some() && sessions.holder(process) != session {
+                return false;
+            }
             for report in reports {
                 let as_told = |c: &Component| {
                     (c.state, c.health, &c.fault) == (report.state, report.health, &report.fault)

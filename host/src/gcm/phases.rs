@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::JoinSet;
+use trocar_lcm_api::clock;
 use trocar_model::{ComponentId, Name, Phase, Refusal, StepTimes, SystemGraph, phases, steps_matter};
 
 use super::Gcm;
@@ -78,8 +79,8 @@ impl Keeper {
         let mut answered = self.carry_out(gcm, unknown).await;
         answered &= self.give(gcm, &graph, &here).await;
         let matters = steps_matter(&graph);
-        if matters && self.looked.is_none_or(|at| at.elapsed() >= LOOK) {
-            self.looked = Some(Instant::now());
+        if matters && self.looked.is_none_or(|at| clock::since(at) >= LOOK) {
+            self.looked = Some(clock::now());
             let all = here.iter().map(|(process, session)| ask(process, *session)).collect();
             answered &= self.carry_out(gcm, all).await;
             answered &= self.give(gcm, &graph, &here).await;
@@ -126,7 +127,7 @@ impl Keeper {
                 continue;
             };
             asked.spawn(async move {
-                let deadline = Instant::now() + WITHIN;
+                let deadline = clock::now() + WITHIN;
                 let answer =
                     tokio::time::timeout_at(deadline.into(), lcm.phases(order.given.clone(), deadline));
                 (order, answer.await.ok())

@@ -5,15 +5,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use trocar_lcm_api::{Inventory, Lcm, Order, Report};
+use trocar_lcm_api::{Inventory, Lcm, Order, Report, clock};
 use trocar_model::{
-    Change, ClassInfo, Component, ComponentId, Connection, Execution, ExecutionLimits, Health, Name, Plan,
-    Ports, Programs, Refusal, Request, Safety, State, StopReason, SystemGraph, Target, Verb,
+    Change, ClassInfo, Component, ComponentId, Connection, Entry, Execution, ExecutionLimits, Health, Name,
+    Plan, Ports, Programs, Refusal, Request, Safety, State, StopReason, SystemGraph, Target, Verb,
 };
 
 use super::claims::Planned;
+use super::observed::After;
 use super::sessions::{Registration, Slice};
 use super::{Gcm, text};
 
@@ -111,7 +112,7 @@ impl Look<'_> {
     fn configured_back(&self, report: &Report, told: &Component) -> Option<Change> {
         let wanted = self.graph.components.get(&report.id)?;
         let is_as_then = self.then.components.get(&report.id).is_some_and(|c| c.config == wanted.config);
-        if wanted.config == told.config || !is_as_then || report.state == State::Fault {
+        if wanted.config == told.config || !is_as_then {
             return None;
         }
         let (from, to) = (told.config.clone(), wanted.config.clone());
@@ -189,7 +190,7 @@ impl Gcm {
             if !self.hears(process, session) {
                 return None;
             }
-            let until = Instant::now() + self.inner.each_change;
+            let until = clock::now() + self.inner.each_change;
             // The claim is of all that there may be, not of a plan.
             let all = |_: &SystemGraph| Ok(Planned { plan: Plan::default(), is_whole: false });
             let doing = format!("comparing what process {process} has with what was decided");
@@ -220,7 +221,7 @@ impl Gcm {
                     return None;
                 }
                 log::warn!("{}: process {process} has it otherwise than was decided", text::line(&change));
-                match self.amend(&*lcm, process, &change).await {
+                match self.amend(&*lcm, (process, session), &change).await {
                     Ok(()) => note(&mut slice, &change),
                     Err(refusal) if time == TIMES => self.not_amended(&change, &refusal),
                     Err(refusal) => log::warn!("{}: {refusal}", text::line(&change)),
@@ -244,17 +245,45 @@ impl Gcm {
         mine.filter(|id| wanted.may_run(id, epoch)).cloned().collect()
     }
 
-    async fn amend(&self, lcm: &dyn Lcm, process: &Name, change: &Change) -> Result<(), Refusal> {
-        let deadline = Instant::now() + self.inner.each_change;
+    async fn amend(
+        &self,
+        lcm: &dyn Lcm,
+        (process, session): (&Name, u64),
+        change: &Change,
+    ) -> Result<(), Refusal> {
+        // What has failed takes no settings.
+        if let Change::Configure { id, from, from_state: State::Fault, .. } = change {
+            self.is_configured_so(id, from);
+            return Ok(());
+        }
+        let deadline = clock::now() + self.inner.each_change;
         let done = lcm.apply(change.clone(), Order::from(deadline));
         match self.in_time(process, &text::asked(change), deadline, done).await {
             Ok(report) => {
-                self.enter_states(&[&report]);
+                self.enter_states(process, Some(session), &[&report]);
+                if matches!(change, Change::Run { .. }) {
+                    self.cut_off(vec![After::Rests(report.id, report.state)]);
+                }
                 Ok(())
             }
             Err(Refusal::ConnectionNotFound { .. } | Refusal::ComponentNotFound { .. }) => Ok(()),
             Err(refusal) => Err(refusal),
         }
+    }
+
+    /// Decides that a component has the settings that it has.
+    fn is_configured_so(&self, id: &ComponentId, config: &serde_json::Value) {
+        self.decide(|revision| {
+            let mut changes = Vec::new();
+            self.edit(|graph| {
+                let Some(component) = graph.components.get_mut(id) else { return };
+                let from = std::mem::replace(&mut component.config, config.clone());
+                let (from_state, to_state) = (component.state, component.state);
+                let (id, to) = (id.clone(), config.clone());
+                changes.push(Change::Configure { id, from, to, from_state, to_state });
+            });
+            (Entry::Changed { revision, decision: 0, changes }, None)
+        });
     }
 
     /// Shows beside a component that it is otherwise than is listed.

@@ -1,4 +1,4 @@
-//! The thread that brings records to the store.
+//! Brings records to the store, on a thread of its own.
 //!
 //! Invariant: the store is used by one thread at a time and never under a lock. A store that is full, read-
 //! only or gone is tried again; one that may have lost what it said it had is not used any more.
@@ -15,7 +15,7 @@ use trocar_rt::house;
 
 use super::Gcm;
 use super::journal::{Asked, Store, Unusable};
-use super::ledger::Standing;
+use super::ledger::{Bell, Standing};
 use super::manager::Inner;
 use super::past::Past;
 
@@ -37,43 +37,102 @@ impl Drop for Writing {
     }
 }
 
-/// Writes what waits each time the bell rings, until the GCM is gone.
-fn write(writing: &Writing, store: &mut dyn Store, bell: &mpsc::Receiver<()>, mut past: Past) {
-    let (mut again, mut anew) = (None, !past.is_loaded);
-    loop {
-        let is_last = !rung(bell, again.take());
-        loop {
-            let Some(inner) = writing.0.upgrade() else { return };
-            let batch = inner.ledger.take(BATCH, anew);
-            if batch.records.is_empty() {
-                break;
+/// Place where records are brought to the store.
+pub enum Recording {
+    /// A thread of its own: the store may block.
+    Thread,
+    /// A task of the runtime that starts the GCM, for a store that never blocks. Each write takes as long as
+    /// this says.
+    Task(Box<dyn FnMut() -> Duration + Send>),
+}
+
+/// Brings what waits to the store. Its parts are dropped in this order: whoever waits for the end may use the
+/// store at once.
+struct Writer {
+    store: Box<dyn Store>,
+    past: Past,
+    /// The store is to begin with what is wanted now.
+    anew: bool,
+    writing: Writing,
+}
+
+enum Turn {
+    Wrote,
+    /// Nothing waits.
+    Nothing,
+    /// The store cannot be written now.
+    Failed,
+    /// Nothing is written any more.
+    Over,
+}
+
+impl Writer {
+    /// Writes one batch of what waits.
+    fn turn(&mut self) -> Turn {
+        let Some(inner) = self.writing.0.upgrade() else { return Turn::Over };
+        let batch = inner.ledger.take(BATCH, self.anew);
+        if batch.records.is_empty() {
+            return Turn::Nothing;
+        }
+        match self.past.put(&mut *self.store, &batch) {
+            Ok(()) => {
+                self.anew = false;
+                inner.ledger.written(&batch);
+                if let Some((number @ 1.., _)) = batch.anew {
+                    let text = format!("{number} records before this one are lost: the journal was behind");
+                    let asked = Asked { text, ..Asked::default() };
+                    inner.ledger.enter(|_| (Entry::Noted, Some((asked, Ok(Default::default())))));
+                }
+                Turn::Wrote
             }
-            match past.put(store, &batch) {
-                Ok(()) => {
-                    anew = false;
-                    inner.ledger.written(&batch);
-                    if let Some((number @ 1.., _)) = batch.anew {
-                        let text =
-                            format!("{number} records before this one are lost: the journal was behind");
-                        let asked = Asked { text, ..Asked::default() };
-                        inner.ledger.enter(|_| (Entry::Noted, Some((asked, Ok(Default::default())))));
-                    }
-                }
-                Err(e) => {
-                    let why = e.to_string();
-                    inner.ledger.not_written(batch, why);
-                    if e.unusable != Unusable::Now {
-                        return;
-                    }
-                    // The store may have been removed, or filled in the middle.
-                    anew = true;
-                    again = Some(Instant::now() + AGAIN);
-                    break;
-                }
+            Err(e) => {
+                let why = e.to_string();
+                inner.ledger.not_written(batch, why);
+                // The store may have been removed, or filled in the middle.
+                self.anew = true;
+                if e.unusable == Unusable::Now { Turn::Failed } else { Turn::Over }
             }
         }
-        if is_last {
-            return;
+    }
+
+    /// Writes each time the bell rings, until the GCM is gone.
+    fn on_thread(mut self, bell: &mpsc::Receiver<()>) {
+        let mut again = None;
+        loop {
+            let is_last = !rung(bell, again.take());
+            loop {
+                match self.turn() {
+                    Turn::Wrote => {}
+                    Turn::Nothing => break,
+                    Turn::Failed => {
+                        again = Some(Instant::now() + AGAIN);
+                        break;
+                    }
+                    Turn::Over => return,
+                }
+            }
+            if is_last {
+                return;
+            }
+        }
+    }
+
+    /// Does the same in a task.
+    async fn in_task(
+        mut self,
+        mut bell: tokio::sync::mpsc::Receiver<()>,
+        mut takes: impl FnMut() -> Duration,
+    ) {
+        while bell.recv().await.is_some() {
+            loop {
+                tokio::time::sleep(takes()).await;
+                match self.turn() {
+                    Turn::Wrote => {}
+                    Turn::Nothing => break,
+                    Turn::Failed => tokio::time::sleep(AGAIN).await,
+                    Turn::Over => return,
+                }
+            }
         }
     }
 }
@@ -114,22 +173,46 @@ impl Gcm {
     }
 }
 
-/// Has a store written by a thread of its own.
+/// The other end of a bell.
+pub(super) enum Rung {
+    Thread(mpsc::Receiver<()>),
+    Task(tokio::sync::mpsc::Receiver<()>, Box<dyn FnMut() -> Duration + Send>),
+}
+
+/// Returns a bell and its other end. A bell that was not heard yet rings already.
+pub(super) fn bell(recording: Recording) -> (Bell, Rung) {
+    match recording {
+        Recording::Thread => {
+            let (ring, rung) = mpsc::sync_channel(1);
+            (Box::new(move || _ = ring.try_send(())), Rung::Thread(rung))
+        }
+        Recording::Task(takes) => {
+            let (ring, rung) = tokio::sync::mpsc::channel(1);
+            (Box::new(move || _ = ring.try_send(())), Rung::Task(rung, takes))
+        }
+    }
+}
+
+/// Has a store written each time the bell rings.
 ///
 /// # Errors
 /// The machine gives no more threads.
 pub(super) fn keep_writing(
     inner: &Arc<Inner>,
-    mut store: Box<dyn Store>,
-    bell: mpsc::Receiver<()>,
+    store: Box<dyn Store>,
+    rung: Rung,
     past: Past,
 ) -> io::Result<()> {
-    let writing = Writing(Arc::downgrade(inner));
-    let work = move || {
-        write(&writing, &mut *store, &bell, past);
-        // Whoever waits for the end may use it at once.
-        drop(store);
-        drop(writing);
-    };
-    house::spawn(thread::Builder::new().name("trocar-journal".into()), work).map(|_| ())
+    let anew = !past.is_loaded;
+    let writer = Writer { store, anew, past, writing: Writing(Arc::downgrade(inner)) };
+    match rung {
+        Rung::Thread(bell) => {
+            let work = move || writer.on_thread(&bell);
+            house::spawn(thread::Builder::new().name("trocar-journal".into()), work).map(|_| ())
+        }
+        Rung::Task(bell, takes) => {
+            tokio::spawn(writer.in_task(bell, takes));
+            Ok(())
+        }
+    }
 }

@@ -10,7 +10,7 @@ use trocar_lcm_api::{Inventory, Lcm, Report};
 use trocar_links::Card;
 use trocar_model::{
     Change, Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process,
-    ProcessState, Refusal, State, SystemGraph, WantedComponent,
+    ProcessState, Refusal, Safety, State, SystemGraph, WantedComponent,
 };
 
 use super::Gcm;
@@ -131,7 +131,7 @@ impl Gcm {
 
     /// Puts on record what a process has brought along that was not on record.
     fn bring(&self, process: &Name) {
-        self.inner.ledger.enter(|_| {
+        self.inner.ledger.enter(|wanted| {
             let graph = self.graph();
             let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
             let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
@@ -141,7 +141,9 @@ impl Gcm {
                 graph.connections.values().filter(|c| c.ends_in(process) && !graph.is_guests(&c.client));
             let connections: Vec<_> = wires.cloned().collect();
             let (revision, process) = (graph.revision, process.clone());
-            match components.is_empty() && connections.is_empty() {
+            let had = wanted.components.keys().any(|id| id.process == process)
+                || wanted.connections.values().any(|c| c.ends_in(&process));
+            match !had && components.is_empty() && connections.is_empty() {
                 true => (Entry::Noted, None),
                 false => (Entry::Brought { revision, process, components, connections }, None),
             }
@@ -283,6 +285,7 @@ fn take_in(
     graph.next_connection = come_to(graph.next_connection, last.unwrap_or_default());
     graph.proxies.retain(|_, half| half.process != who.process);
     sessions.counts_anew(&who.process);
+    sessions.is_entered(&who.process);
     match word {
         Word::OnRecord { granted, under_way } => {
             let may = (granted, under_way);
@@ -346,9 +349,20 @@ fn as_on_record(
     let runs = inventory.components.iter().filter(|report| report.state == State::Active);
     let unasked = runs.filter(|report| !may_run(&report.id));
     let unasked: Vec<_> = unasked.map(|report| (report.id.clone(), report.state)).collect();
+    // It was brought to rest by what was never decided, and moves by another grant alone.
+    let rests = |report: &&Report| {
+        let component = graph.components.get(&report.id);
+        let moves = component.is_some_and(|c| c.class.safety == Safety::Actuator);
+        let is_granted = granted.contains(&report.id) && !under_way.contains(&report.id);
+        // Of what is restored, that goes on which only stands ready and moves nothing.
+        let goes_on = (lacks || goes_on) && !moves && !matches!(report.state, State::Stopped(_));
+        is_granted && !matches!(report.state, State::Active | State::Fault) && !goes_on
+    };
+    let rest = inventory.components.iter().filter(rests);
+    taken.loose.extend(rest.map(|report| After::Rests(report.id.clone(), report.state)));
     if goes_on || lacks {
         sessions.on_return.begin(&who.process);
-        taken.gets_back = Some(already(graph, who, inventory));
+        taken.gets_back = Some(already(graph, who, inventory, &mut taken.loose));
         taken.owed = unasked;
     } else {
         inventory.components.iter().for_each(|report| taken.loose.extend(observe(graph, report)));
@@ -370,7 +384,12 @@ fn lacks(graph: &SystemGraph, process: &Name, inventory: &Inventory) -> bool {
 }
 
 /// Enters the parts a process has already of those it gets back; the rest stays listed as lost.
-fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> Here {
+fn already(
+    graph: &mut SystemGraph,
+    who: &Registration,
+    inventory: &Inventory,
+    loose: &mut Vec<After>,
+) -> Here {
     let mut here = Here::default();
     for report in &inventory.components {
         if !graph.components.contains_key(&report.id) {
@@ -379,7 +398,7 @@ fn already(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -
         }
         // Its ports are told once it is configured.
         let ports = report.ports.clone().filter(|_| report.state != State::Created);
-        observe(graph, &Report { ports, ..report.clone() });
+        loose.extend(observe(graph, &Report { ports, ..report.clone() }));
         here.components.insert(report.id.clone(), report.state);
     }
     here.connections = who.slice.connections.iter().map(|c| c.id).collect();

@@ -2,9 +2,9 @@
 //!
 //! Invariant: a connection is linked again only while both processes are there and one of its halves is not.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use trocar_lcm_api::Decision;
+use trocar_lcm_api::{Decision, clock};
 use trocar_model::{
     Connection, ConnectionId, End, Name, Plan, ProcessState, Proxy, Refusal, Request, SystemGraph,
 };
@@ -18,7 +18,7 @@ impl Gcm {
     /// Links the connections of a process that lack a half although both processes are there: one process was
     /// away while the other half was made.
     pub(super) async fn link_missing(self, process: Name) {
-        let deadline = Instant::now() + AGAIN;
+        let deadline = clock::now() + AGAIN;
         let missing: Vec<Connection> = {
             let graph = self.graph();
             let mine = graph.connections.values().filter(|c| c.ends_in(&process));

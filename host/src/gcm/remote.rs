@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tokio::sync::oneshot;
-use trocar_lcm_api::{ClassOf, RemoteEnd, Report};
+use trocar_lcm_api::{ClassOf, RemoteEnd, Report, clock};
 use trocar_links::Card;
 use trocar_model::{Change, Connection, Name, PortId, PortType, Refusal, SystemGraph, made_of};
 
@@ -25,12 +25,6 @@ impl Gcm {
         connection: &Connection,
         deadline: Instant,
     ) -> Result<Report, Refusal> {
-        // Whatever becomes of it, somebody may have a half under this number.
-        self.edit_if(|graph| {
-            let graph = Arc::make_mut(graph);
-            graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
-            false
-        });
         let (tell, told) = oneshot::channel();
         let (gcm, wanted) = (self.clone(), connection.clone());
         tokio::spawn(async move {
@@ -43,7 +37,7 @@ impl Gcm {
                 return;
             }
             log::warn!("connection {} was made too late: it is taken back", connection.id.0);
-            match gcm.unlink(&connection, false, Instant::now() + UNDO).await {
+            match gcm.unlink(&connection, false, clock::now() + UNDO).await {
                 // A half that a process away still has is cut when it is back.
                 Ok(_) | Err(Refusal::ConnectionNotFound { .. } | Refusal::ProcessLost { .. }) => {}
                 Err(refusal) => log::error!("undoing connection {}: {refusal}", connection.id.0),
@@ -77,7 +71,7 @@ impl Gcm {
         for (lcm, end) in [(at_client, client), (at_server, server)] {
             let undo = Change::Disconnect { connection: connection.clone(), replaced: false };
             let process = &end.component.process;
-            match lcm.apply(undo, (Instant::now() + UNDO).into()).await {
+            match lcm.apply(undo, (clock::now() + UNDO).into()).await {
                 // A half that was not made, or went with its process.
                 Ok(_) | Err(Refusal::ConnectionNotFound { .. } | Refusal::ProcessLost { .. }) => {}
                 Err(undone) => log::error!("undoing connection {} at {process}: {undone}", connection.id.0),
@@ -140,7 +134,7 @@ impl Gcm {
             );
             tokio::spawn(async move {
                 let cut = Change::Disconnect { connection, replaced: false };
-                match lcm.apply(cut, (Instant::now() + UNDO).into()).await {
+                match lcm.apply(cut, (clock::now() + UNDO).into()).await {
                     Ok(_) | Err(Refusal::ConnectionNotFound { .. }) => {}
                     Err(refusal) => {
                         log::error!("the half of connection {number} at {process} cannot be cut: {refusal}");

@@ -5,9 +5,9 @@
 //! cannot be made again is named with the reason, and keeps no other from coming back.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use trocar_lcm_api::Decision;
+use trocar_lcm_api::{Decision, clock};
 use trocar_model::{
     Change, ComponentId, Connection, Entry, Health, Here, Name, Plan, Process, ProcessState, Refusal, State,
     StopReason, SystemGraph, Verb, open_ends, restore,
@@ -28,6 +28,22 @@ struct Away {
     unmade: BTreeSet<ComponentId>,
     /// Notes beside components that are there.
     notes: BTreeMap<ComponentId, Vec<String>>,
+}
+
+/// A process on its way back.
+struct Back {
+    process: Name,
+    session: u64,
+    /// Place of the restoring among all decisions.
+    since: Decision,
+    /// The decisions by which its components run.
+    grants: BTreeMap<ComponentId, Decision>,
+}
+
+impl Back {
+    fn granted(&self, id: &ComponentId) -> Decision {
+        self.grants.get(id).copied().unwrap_or(self.since)
+    }
 }
 
 impl Away {
@@ -55,7 +71,7 @@ impl Gcm {
         let since = self.inner.claims.arrive();
         let (claim, plan) = loop {
             let doing = format!("making the components of process {process} again");
-            let by = (since, Instant::now() + self.inner.each_change);
+            let by = (since, clock::now() + self.inner.each_change);
             let planned = tokio::select! {
                 planned = self.claim_for(doing, &[], by, decide) => planned,
                 () = self.gone(&process, session) => return,
@@ -68,10 +84,12 @@ impl Gcm {
             }
         };
         let carrying = Carrying::begin(&self, claim);
+        // What is made again has no grant on record until it runs again.
+        let back = Back { process: process.clone(), session, since, grants: self.grants(&process) };
         let mut made = Vec::new();
-        let again = self.make_again(&carrying, &plan, (&process, session, since), &here, &mut made).await;
+        let again = self.make_again(&carrying, &plan, &back, &here, &mut made).await;
         let Some(away) = again else { return };
-        self.made_again(&mut made, since);
+        self.made_again(&mut made, &back);
         log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
         // News told before would cover the notes.
         self.hear_out(&process).await;
@@ -82,16 +100,26 @@ impl Gcm {
     }
 
     /// Puts on record what was made again: of which classes it is, and by which grants it runs.
-    fn made_again(&self, made: &mut Vec<Change>, since: Decision) {
+    fn made_again(&self, made: &mut Vec<Change>, back: &Back) {
         let made = std::mem::take(made);
         if made.is_empty() {
             return;
         }
+        // What goes on by itself is of no later decision than before.
+        let starts = made.iter().find(|change| matches!(change, Change::Run { to: State::Active, .. }));
+        let since = starts.map_or(back.since, |start| back.granted(id_of(start)));
         self.inner.ledger.enter(|_| {
             let (revision, decision) = (self.graph().revision, since.0);
             let changes = self.on_record(&made, since);
             (Entry::Changed { revision, decision, changes }, None)
         });
+    }
+
+    /// Returns the decisions by which the components of a process run.
+    fn grants(&self, process: &Name) -> BTreeMap<ComponentId, Decision> {
+        let wanted = self.inner.ledger.wanted();
+        let mine = wanted.components.iter().filter(|(id, _)| id.process == *process);
+        mine.filter_map(|(id, c)| Some((id.clone(), Decision(c.grant?.decision)))).collect()
     }
 
     /// Carries out all changes of the plan; `None`: the process is gone. `made_again`: done, and not on
@@ -100,23 +128,12 @@ impl Gcm {
         &self,
         carrying: &Carrying<'_>,
         plan: &Plan,
-        (process, session, since): (&Name, u64, Decision),
+        back: &Back,
         here: &Here,
         made_again: &mut Vec<Change>,
     ) -> Option<Away> {
-        let mut away = Away::default();
-        let made = |id: &ComponentId| {
-            let creates = |c: &Change| matches!(c, Change::Create { id: made, .. } if made == id);
-            here.components.contains_key(id) || plan.changes.iter().any(creates)
-        };
-        for skipped in &plan.skipped {
-            if made(&skipped.id) {
-                away.note(&skipped.id, skipped.why.clone());
-            } else {
-                log::error!("{}: {}", skipped.id, skipped.why);
-                self.not_made(&skipped.id, &skipped.why, &mut away);
-            }
-        }
+        let (process, session, mut away) = (&back.process, back.session, Away::default());
+        self.skipped(plan, here, &mut away);
         for change in &plan.changes {
             if !self.hears(process, session) {
                 return None;
@@ -126,19 +143,24 @@ impl Gcm {
                 continue;
             }
             let remote = matches!(change, Change::Connect { connection } if !connection.is_near());
-            let deadline = Instant::now() + if remote { LINKED } else { self.inner.each_change };
+            let deadline = clock::now() + if remote { LINKED } else { self.inner.each_change };
+            // A Stop of which this GCM does not know, since it was decided by the one before, holds it off.
+            let decision = match change {
+                Change::Run { id, to: State::Active, .. } => back.granted(id),
+                _ => back.since,
+            };
             let done = tokio::select! {
                 // A change that is not begun yet is not begun for a session that is over.
                 biased;
                 () = self.gone(process, session) => return None,
-                done = carrying.one(change, deadline) => done,
+                done = carrying.one_of(change, decision, deadline) => done,
             };
             match done {
                 Ok(_) => {
                     made_again.push(change.clone());
                     // One that is made and not configured yet is no more than what was wanted before.
                     if !matches!(change, Change::Create { .. }) {
-                        self.made_again(made_again, since);
+                        self.made_again(made_again, back);
                     }
                 }
                 Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,
@@ -153,10 +175,31 @@ impl Gcm {
                         self.not_linked(connection, &refusal).await;
                     }
                 }
-                Err(refusal) => self.not_done(change, &refusal, &mut away),
+                Err(refusal) => {
+                    if let (Change::Run { id, .. }, Refusal::WrongState { .. }) = (change, &refusal) {
+                        self.stays_stopped(id, back.since);
+                    }
+                    self.not_done(change, &refusal, &mut away);
+                }
             }
         }
         Some(away)
+    }
+
+    /// Says what the plan has left out.
+    fn skipped(&self, plan: &Plan, here: &Here, away: &mut Away) {
+        let made = |id: &ComponentId| {
+            let creates = |c: &Change| matches!(c, Change::Create { id: made, .. } if made == id);
+            here.components.contains_key(id) || plan.changes.iter().any(creates)
+        };
+        for skipped in &plan.skipped {
+            if made(&skipped.id) {
+                away.note(&skipped.id, skipped.why.clone());
+            } else {
+                log::error!("{}: {}", skipped.id, skipped.why);
+                self.not_made(&skipped.id, &skipped.why, away);
+            }
+        }
     }
 
     /// True for a connection to another process that is not there, or not whole yet.
@@ -228,7 +271,7 @@ impl Gcm {
             for (id, from) in owed {
                 let to = State::Stopped(StopReason::Requested);
                 let stop = Change::Run { id: id.clone(), verb: Verb::Stop, from, to };
-                if let Err(refusal) = carrying.one(&stop, Instant::now() + self.inner.each_change).await {
+                if let Err(refusal) = carrying.one(&stop, clock::now() + self.inner.each_change).await {
                     log::error!("{id} cannot be stopped: {refusal}");
                 }
                 tried.insert(id);

@@ -79,6 +79,8 @@ pub(super) struct Sessions {
     last: BTreeMap<Name, (u128, u64)>,
     /// Processes that were here at some time in the life of this GCM.
     met: BTreeSet<Name>,
+    /// Processes of which this GCM has seen how they stand.
+    entered: BTreeSet<Name>,
     /// Processes whose word was taken for what was decided.
     pub(super) believed: BTreeSet<Name>,
     /// Number of the newest session.
@@ -216,9 +218,17 @@ impl Sessions {
         self.unanswered.remove(id);
     }
 
-    /// Tells whether a component of a process that is not heard may be moving.
+    /// Tells whether a component of a process that is not heard may be moving. Where this GCM has never seen
+    /// how it stands, the one before may have ordered what was never answered.
     pub(super) fn may_move(&self, id: &ComponentId, seen: State) -> bool {
-        matches!(seen, State::Active | RESTARTED) || self.unanswered.contains(id)
+        matches!(seen, State::Active | RESTARTED)
+            || self.unanswered.contains(id)
+            || !self.entered.contains(&id.process)
+    }
+
+    /// Notes that everything that a process has is entered.
+    pub(super) fn is_entered(&mut self, process: &Name) {
+        self.entered.insert(process.clone());
     }
 
     /// Takes a Stop at the process itself to be answered; false: it was.

@@ -4,7 +4,6 @@
 
 use std::fmt;
 use std::path::PathBuf;
-use std::sync::mpsc;
 use std::time::Duration;
 
 use trocar_model::Entry;
@@ -13,7 +12,7 @@ use super::Gcm;
 use super::ids::Ids;
 use super::journal::{Store, StoreError, Unusable};
 use super::past::Past;
-use super::recording::keep_writing;
+use super::recording::{Recording, bell, keep_writing};
 
 /// Times a store that cannot be read now is tried before the GCM begins without it.
 const LOADS: u32 = 4;
@@ -78,21 +77,40 @@ impl Gcm {
     /// # Errors
     /// The state folder cannot be used; the store is damaged, of a later release, or in use. One that cannot
     /// be read now is tried again, and the GCM begins without it.
-    pub async fn resume(config: GcmConfig, mut store: Box<dyn Store>) -> Result<Gcm, StartError> {
+    pub async fn resume(config: GcmConfig, store: Box<dyn Store>) -> Result<Gcm, StartError> {
+        Gcm::resume_with(config, store, Recording::Thread).await
+    }
+
+    /// Does the same as [`Gcm::resume`]; its records go to the store as `recording` says.
+    ///
+    /// # Errors
+    /// As [`Gcm::resume`].
+    pub async fn resume_with(
+        config: GcmConfig,
+        mut store: Box<dyn Store>,
+        recording: Recording,
+    ) -> Result<Gcm, StartError> {
         let ids = Ids::open(config.state.as_deref());
+        let never_blocks = matches!(recording, Recording::Task(_));
         let load = move || {
             let mut loaded = store.load();
             for _ in 1..LOADS {
                 if !matches!(&loaded, Err(e) if e.unusable == Unusable::Now) {
                     break;
                 }
-                std::thread::sleep(BETWEEN);
+                if !never_blocks {
+                    std::thread::sleep(BETWEEN);
+                }
                 loaded = store.load();
             }
             (store, loaded)
         };
-        let (store, loaded) =
-            tokio::task::spawn_blocking(load).await.map_err(|e| StartError::Threads(e.to_string()))?;
+        let (store, loaded) = match never_blocks {
+            true => load(),
+            false => {
+                tokio::task::spawn_blocking(load).await.map_err(|e| StartError::Threads(e.to_string()))?
+            }
+        };
         let past = match loaded {
             Ok(loaded) => Past::of(loaded),
             Err(e) if e.unusable == Unusable::Now => {
@@ -104,7 +122,7 @@ impl Gcm {
         // Counters that were lost go on from what is on record.
         let epochs = past.wanted.processes.values().map(|process| process.epoch);
         ids.goes_on_from(past.wanted.term, epochs.max().unwrap_or_default());
-        let (bell, rung) = mpsc::sync_channel(1);
+        let (bell, rung) = bell(recording);
         let gcm = Gcm::new(ids, config.each_change, &past, Some(bell));
         keep_writing(&gcm.inner, store, rung, past).map_err(|e| StartError::Threads(e.to_string()))?;
         // On record before anything is decided by it.

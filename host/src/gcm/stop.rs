@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_lcm_api::{Decision, Halted, Order, Report, Stop, StoppedHere};
+use trocar_lcm_api::{Decision, Halted, Order, Report, Stop, StoppedHere, clock};
 use trocar_model::{
     Change, ComponentId, Entry, Name, ProcessState, Refusal, Request, Skipped, State, SystemGraph, Target,
     Verb, plan,
@@ -38,6 +38,12 @@ struct Halting {
     known_here: u64,
     /// The only session that it is for.
     session: Option<u64>,
+}
+
+/// What a process has stopped, in that session.
+struct Told {
+    session: Option<u64>,
+    halted: Vec<Halted>,
 }
 
 impl Gcm {
@@ -105,32 +111,36 @@ impl Gcm {
     /// Has every process that is heard stop what is named, side by side, and says what became of the rest.
     async fn halt(&self, halting: &Halting) -> Result<Executed, Refusal> {
         let named = |process: &Name| halting.targets.iter().any(|target| target.within(process).is_some());
-        let heard = self.inner.sessions.lock().heard();
-        let orders: Vec<_> = heard
-            .into_iter()
-            .filter(named)
-            .map(|process| {
-                let (gcm, halting) = (self.clone(), halting.clone());
-                let ordered = process.clone();
-                (process, tokio::spawn(async move { gcm.halt_process(&ordered, &halting).await }))
-            })
-            .collect();
-        let (mut done, mut answered) = (Executed::default(), BTreeSet::new());
-        let mut known = BTreeSet::new();
-        for (process, order) in orders {
-            let told =
-                order.await.map_err(|e| Refusal::Internal { text: format!("stopping panicked: {e}") })?;
-            match told {
-                Ok(halted) => {
-                    known.extend(halted.iter().map(|halted| halted.id.clone()));
-                    answered.insert(process);
-                    self.note(halted, &mut done);
+        let (mut done, mut known) = (Executed::default(), BTreeSet::new());
+        let mut answered = BTreeSet::new();
+        loop {
+            let heard = self.inner.sessions.lock().heard();
+            // Also a process that has come since.
+            let others = heard.into_iter().filter(|process| named(process) && !answered.contains(process));
+            let orders: Vec<_> = others
+                .map(|process| {
+                    let (gcm, halting) = (self.clone(), halting.clone());
+                    let ordered = process.clone();
+                    (process, tokio::spawn(async move { gcm.halt_process(&ordered, &halting).await }))
+                })
+                .collect();
+            if orders.is_empty() {
+                break;
+            }
+            for (process, order) in orders {
+                let told =
+                    order.await.map_err(|e| Refusal::Internal { text: format!("stopping panicked: {e}") })?;
+                match told {
+                    Ok(told) => {
+                        known.extend(told.halted.iter().map(|halted| halted.id.clone()));
+                        self.note(&process, told, &mut done);
+                    }
+                    Err(refusal) => {
+                        log::error!("process {process} cannot be told to stop: {refusal}");
+                        self.not_told(&process, &refusal, halting, &mut done);
+                    }
                 }
-                Err(refusal) => {
-                    log::error!("process {process} cannot be told to stop: {refusal}");
-                    self.not_told(&process, &refusal, halting, &mut done);
-                    answered.insert(process);
-                }
+                answered.insert(process);
             }
         }
         self.rest(&answered, halting, &mut done);
@@ -139,7 +149,7 @@ impl Gcm {
     }
 
     /// Orders one process to stop; where it is lost meanwhile and comes back, again.
-    async fn halt_process(&self, process: &Name, halting: &Halting) -> Result<Vec<Halted>, Refusal> {
+    async fn halt_process(&self, process: &Name, halting: &Halting) -> Result<Told, Refusal> {
         loop {
             let session = self.inner.sessions.lock().holder(process);
             if halting.session.is_some_and(|only| session != Some(only)) {
@@ -154,7 +164,8 @@ impl Gcm {
             };
             let Err(lost @ Refusal::ProcessLost { .. }) = told else {
                 // A process speaks for its own components.
-                return told.map(|halted| halted.into_iter().filter(|h| h.id.process == *process).collect());
+                let mine = |halted: Vec<Halted>| halted.into_iter().filter(|h| h.id.process == *process);
+                return told.map(|halted| Told { session, halted: mine(halted).collect() });
             };
             let mut is_back = false;
             self.edit_if(|graph| {
@@ -169,16 +180,16 @@ impl Gcm {
                 }
                 false
             });
-            if !is_back || Instant::now() >= halting.deadline {
+            if !is_back || clock::now() >= halting.deadline {
                 return Err(lost);
             }
         }
     }
 
     /// Enters the components that a process has stopped.
-    fn note(&self, halted: Vec<Halted>, done: &mut Executed) {
+    fn note(&self, process: &Name, Told { session, halted }: Told, done: &mut Executed) {
         let reports: Vec<&Report> = halted.iter().filter_map(|halted| halted.done.as_ref().ok()).collect();
-        self.enter_states(&reports);
+        self.enter_states(process, session, &reports);
         for Halted { id, was, done: stopped } in halted {
             match stopped {
                 Ok(report) if was != report.state => {
@@ -272,7 +283,7 @@ impl Gcm {
                 log::warn!("{id} was stopped while its process was away, and runs: it is stopped now");
                 let request = [Request::Stop { targets: vec![Target::One(id.clone())] }];
                 let asked = Asked { text: audit::asked(&request), ..Asked::default() };
-                match gcm.stop(&request, false, &asked, Instant::now() + WITHIN).await {
+                match gcm.stop(&request, false, &asked, clock::now() + WITHIN).await {
                     Ok(done) if done.failed.is_empty() => {}
                     // It is stopped when its process is back again.
                     Ok(_) | Err(Refusal::StopNotTold { .. }) => return,
@@ -290,12 +301,12 @@ impl Gcm {
     /// that was started later. Not waited for.
     pub(super) fn stop_late(&self, id: &ComponentId, decision: Decision) {
         let (gcm, process) = (self.clone(), id.process.clone());
-        let (targets, deadline) = (Arc::new(vec![Target::One(id.clone())]), Instant::now() + UNDO);
+        let (targets, deadline) = (Arc::new(vec![Target::One(id.clone())]), clock::now() + UNDO);
         let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
         tokio::spawn(async move {
             let mut done = Executed::default();
             match gcm.halt_process(&process, &halting).await {
-                Ok(halted) => gcm.note(halted, &mut done),
+                Ok(told) => gcm.note(&process, told, &mut done),
                 Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
             }
         });
@@ -305,13 +316,13 @@ impl Gcm {
     pub(super) fn tell_untold(&self, process: &Name, Untold { targets, decision }: Untold) {
         log::warn!("process {process} is told the Stops that came while it was away");
         let targets = Arc::new(targets.into_iter().collect::<Vec<_>>());
-        let deadline = Instant::now() + WITHIN;
+        let deadline = clock::now() + WITHIN;
         let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
         let (gcm, process) = (self.clone(), process.clone());
         tokio::spawn(async move {
             let mut done = Executed::default();
             match gcm.halt_process(&process, &halting).await {
-                Ok(halted) => gcm.note(halted, &mut done),
+                Ok(told) => gcm.note(&process, told, &mut done),
                 Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
             }
             if !done.plan.changes.is_empty() {
@@ -339,11 +350,11 @@ impl Gcm {
             let decision = gcm.inner.claims.decide_stop(&targets);
             let (targets, known_here) = (Arc::new(targets), told.number);
             loop {
-                let deadline = Instant::now() + WITHIN;
+                let deadline = clock::now() + WITHIN;
                 let halting = Halting { targets: targets.clone(), decision, deadline, known_here, session };
                 match gcm.halt_process(&process, &halting).await {
                     Ok(halted) => {
-                        gcm.note(halted, &mut Executed::default());
+                        gcm.note(&process, halted, &mut Executed::default());
                         let text = format!("{{\"stop\":{{\"paths\":[{names}]}}}}");
                         let identity = format!("process {process}, at its own port,");
                         let asked = Asked { identity, text, ..Asked::default() };

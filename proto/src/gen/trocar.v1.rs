@@ -4887,6 +4887,9 @@ pub mod attach_request {
 /// From the GCM.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct AttachResponse {
+    /// When it was sent, by the GCM's monotonic clock, ns; 0: not told.
+    #[prost(uint64, tag = "5")]
+    pub sent_ns: u64,
     /// The message.
     #[prost(oneof = "attach_response::Message", tags = "1, 2, 3, 4")]
     pub message: ::core::option::Option<attach_response::Message>,

@@ -11,6 +11,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::time::MissedTickBehavior;
 use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use trocar_model::{Name, Refusal};
 use trocar_proto::v1;
@@ -36,15 +37,52 @@ const HELLO: Duration = Duration::from_secs(2);
 /// Messages that may wait to be sent.
 const QUEUE: usize = 256;
 
-pub(super) struct AttachEdge {
+/// Messages to a process.
+pub type Outbound = ReceiverStream<Result<v1::AttachResponse, Status>>;
+
+/// The GCM's half of Attach.
+pub struct AttachEdge {
     gcm: Gcm,
     /// Ends when the port closes.
     open: watch::Receiver<()>,
 }
 
 impl AttachEdge {
-    pub(super) fn new(gcm: Gcm, open: watch::Receiver<()>) -> Self {
+    /// Takes processes in for a GCM until the sender of `open` is dropped.
+    pub fn new(gcm: Gcm, open: watch::Receiver<()>) -> Self {
         AttachEdge { gcm, open }
+    }
+
+    /// Hears a process over the messages that it sends; returns those to it.
+    ///
+    /// # Errors
+    /// Its first message is no hello, or is late.
+    pub async fn hear<I>(&self, mut inbound: I) -> Result<Outbound, Status>
+    where
+        I: Stream<Item = Result<v1::AttachRequest, Status>> + Send + Unpin + 'static,
+    {
+        let first = tokio::time::timeout(HELLO, inbound.next()).await;
+        let Ok(Some(Ok(v1::AttachRequest { message: Some(attach_request::Message::Hello(hello)) }))) = first
+        else {
+            return Err(status(&Refusal::ArgumentInvalid {
+                what: "Attach".into(),
+                why: "the first message must be hello, within 2 s".into(),
+                field: "hello".into(),
+            }));
+        };
+        let (out, orders) = mpsc::channel(QUEUE);
+        let first = match self.take_in(hello, &out).await {
+            Ok(attached) => {
+                let Registered { epoch, term, .. } = attached.registered;
+                let revision = self.gcm.revision_on_record();
+                tokio::spawn(attached.keep(inbound, out.clone(), self.open.clone()));
+                attach_response::Message::Registered(v1::Registered { epoch, term, revision })
+            }
+            Err(refusal) => attach_response::Message::Refused(convert::refusal_info(&refusal)),
+        };
+        // The receiver may be gone: the stream's end says the same.
+        let _ = out.send(Ok(message(first))).await;
+        Ok(ReceiverStream::new(orders))
     }
 
     async fn take_in(&self, hello: v1::Hello, out: &Outgoing) -> Result<Attached, Refusal> {
@@ -70,35 +108,13 @@ impl AttachEdge {
 
 #[tonic::async_trait]
 impl AttachService for AttachEdge {
-    type AttachStream = ReceiverStream<Result<v1::AttachResponse, Status>>;
+    type AttachStream = Outbound;
 
     async fn attach(
         &self,
         request: Request<Streaming<v1::AttachRequest>>,
     ) -> Result<Response<Self::AttachStream>, Status> {
-        let mut inbound = request.into_inner();
-        let first = tokio::time::timeout(HELLO, inbound.message()).await;
-        let Ok(Ok(Some(v1::AttachRequest { message: Some(attach_request::Message::Hello(hello)) }))) = first
-        else {
-            return Err(status(&Refusal::ArgumentInvalid {
-                what: "Attach".into(),
-                why: "the first message must be hello, within 2 s".into(),
-                field: "hello".into(),
-            }));
-        };
-        let (out, orders) = mpsc::channel(QUEUE);
-        let first = match self.take_in(hello, &out).await {
-            Ok(attached) => {
-                let Registered { epoch, term, .. } = attached.registered;
-                let revision = self.gcm.revision_on_record();
-                tokio::spawn(attached.keep(inbound, out.clone(), self.open.clone()));
-                attach_response::Message::Registered(v1::Registered { epoch, term, revision })
-            }
-            Err(refusal) => attach_response::Message::Refused(convert::refusal_info(&refusal)),
-        };
-        // The receiver may be gone: the stream's end says the same.
-        let _ = out.send(Ok(message(first))).await;
-        Ok(Response::new(ReceiverStream::new(orders)))
+        Ok(Response::new(self.hear(request.into_inner()).await?))
     }
 
     type SuperviseStream = ReceiverStream<Result<v1::SuperviseResponse, Status>>;
@@ -147,12 +163,10 @@ struct Attached {
 
 impl Attached {
     /// Hears the process until it is silent or gone.
-    async fn keep(
-        self,
-        mut inbound: Streaming<v1::AttachRequest>,
-        out: Outgoing,
-        mut open: watch::Receiver<()>,
-    ) {
+    async fn keep<I>(self, mut inbound: I, out: Outgoing, mut open: watch::Receiver<()>)
+    where
+        I: Stream<Item = Result<v1::AttachRequest, Status>> + Send + Unpin,
+    {
         let mut look = tokio::time::interval(BEAT / LOOKS);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let (mut looks, mut silent, mut sequence) = (0, 0, 0);
@@ -160,13 +174,13 @@ impl Attached {
             tokio::select! {
                 // Messages that arrived count before the silence does.
                 biased;
-                arrived = inbound.message() => match arrived {
-                    Ok(Some(said)) => {
+                arrived = inbound.next() => match arrived {
+                    Some(Ok(said)) => {
                         silent = 0;
                         self.lcm.hear(said);
                     }
-                    Ok(None) => break "it closed the stream".to_owned(),
-                    Err(e) => break e.message().to_owned(),
+                    None => break "it closed the stream".to_owned(),
+                    Some(Err(e)) => break e.message().to_owned(),
                 },
                 _ = open.changed() => break "this port is closing".to_owned(),
                 _ = look.tick() => {

@@ -1,17 +1,19 @@
 //! The LCM of an attached process: each call is an order with a number, and waits for the answer with that
 //! number.
 //!
-//! Invariant: no call outlives its deadline or the stream; an order without a waiting caller is forgotten.
+//! Invariant: no call outlives its deadline or the stream. An order without a waiting caller is forgotten,
+//! but for a change: when it is done all the same, that is news.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
 use tokio::sync::{broadcast, mpsc, oneshot};
 use tonic::Status;
+use trocar_lcm_api::clock;
 use trocar_model::{Change, ComponentId, Name, Phase, Refusal, StepTimes, Warnings};
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
@@ -52,6 +54,8 @@ enum Waiting {
     /// An order to follow something brings the feed it will fill.
     Answer(oneshot::Sender<A>, Option<Feed>),
     Feed(Feed),
+    /// A change whose caller has given it up.
+    Late(Change),
 }
 
 /// A subscription.
@@ -63,15 +67,24 @@ struct Feed {
     over: oneshot::Sender<()>,
 }
 
-/// Forgets an order when its caller stops waiting.
-struct Forget<'a>(&'a RemoteLcm, u64);
+/// Forgets an order when its caller stops waiting. The answer to a change that was sent is still heard.
+struct Forget<'a> {
+    lcm: &'a RemoteLcm,
+    id: u64,
+    change: Option<&'a Change>,
+    is_sent: bool,
+}
 
 impl Drop for Forget<'_> {
     fn drop(&mut self) {
-        if let Some(link) = self.0.link.lock().as_mut()
-            && matches!(link.waiting.get(&self.1), Some(Waiting::Answer(..)))
+        if let Some(link) = self.lcm.link.lock().as_mut()
+            && matches!(link.waiting.get(&self.id), Some(Waiting::Answer(..)))
         {
-            link.waiting.remove(&self.1);
+            link.waiting.remove(&self.id);
+            // The process answers each order that it gets, if only with a refusal.
+            if let Some(change) = self.change.filter(|_| self.is_sent) {
+                link.waiting.insert(self.id, Waiting::Late(change.clone()));
+            }
         }
     }
 }
@@ -133,24 +146,34 @@ impl RemoteLcm {
                 let _ = tell.send(what);
             }
             (_, Some(Waiting::Feed(feed))) => feed.end(),
+            (A::Report(report), Some(Waiting::Late(change))) => match convert::report_in(report) {
+                // The GCM that listens may just be letting go.
+                Ok(report) => _ = link.news.send(News::Late(Box::new(change), report)),
+                Err(refusal) => log::warn!("an answer of process {} cannot be read: {refusal}", self.process),
+            },
+            // It was not done.
+            (_, Some(Waiting::Late(_))) => {}
             // No caller waits for it any more.
             (_, None) => {}
         }
     }
 
     async fn ask(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
-        self.ask_for(self.number(), order, deadline.into(), what, None).await
+        self.ask_for(self.number(), (order, None), deadline.into(), what, None).await
     }
 
-    /// Asks for something that rests on a decision.
-    async fn order(&self, asked: O, order: Order, what: &str) -> Result<A, Refusal> {
-        self.ask_for(self.number(), asked, order, what, None).await
+    /// Orders a change.
+    async fn change(&self, asked: O, change: &Change, order: Order, what: &str) -> Result<Report, Refusal> {
+        match self.ask_for(self.number(), (asked, Some(change)), order, what, None).await? {
+            A::Report(report) => convert::report_in(report),
+            _ => wrong(),
+        }
     }
 
     async fn ask_for(
         &self,
         id: u64,
-        asked: O,
+        (asked, change): (O, Option<&Change>),
         Order { deadline, decision, .. }: Order,
         what: &str,
         feed: Option<Feed>,
@@ -162,14 +185,15 @@ impl RemoteLcm {
             link.waiting.insert(id, Waiting::Answer(tell, feed));
             link.out.clone()
         };
-        let _forget = Forget(self, id);
-        let left = deadline.saturating_duration_since(Instant::now()).saturating_sub(WAY);
+        let mut forget = Forget { lcm: self, id, change, is_sent: false };
+        let left = deadline.saturating_duration_since(clock::now()).saturating_sub(WAY);
         let deadline_ns = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
         let Decision(decision) = decision;
         let order = v1::Order { id, deadline_ns, decision, order: Some(asked) };
         let order = attach_response::Message::Order(order);
         let exchange = async {
             out.send(Ok(message(order))).await.map_err(|_| self.lost())?;
+            forget.is_sent = true;
             told.await.map_err(|_| self.lost())
         };
         match tokio::time::timeout_at(deadline.into(), exchange).await {
@@ -184,12 +208,15 @@ impl RemoteLcm {
     }
 
     async fn question(&self, order: O, what: &str) -> Result<A, Refusal> {
-        self.ask(order, Instant::now() + WITHIN, what).await
+        self.ask(order, clock::now() + WITHIN, what).await
     }
 }
 
 pub(super) fn message(message: attach_response::Message) -> v1::AttachResponse {
-    v1::AttachResponse { message: Some(message) }
+    static BEGAN: LazyLock<Instant> = LazyLock::new(clock::now);
+    // Never 0, which means that there is no stamp.
+    let sent_ns = clock::since(*BEGAN).as_nanos() + 1;
+    v1::AttachResponse { message: Some(message), sent_ns: u64::try_from(sent_ns).unwrap_or(u64::MAX) }
 }
 
 /// Gives a feed up as soon as its follower is gone, also a feed that is only asked for. Its own sender does
@@ -257,14 +284,12 @@ fn wrong<T>() -> Result<T, Refusal> {
 impl Lcm for RemoteLcm {
     async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
         let what = crate::gcm::asked(&change);
-        match self.order(O::Apply(convert::change_out(&change)), order, &what).await? {
-            A::Report(report) => convert::report_in(report),
-            _ => wrong(),
-        }
+        self.change(O::Apply(convert::change_out(&change)), &change, order, &what).await
     }
 
     async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
-        match self.order(O::Stop(convert::stop_out(&stop)), order, "a Stop").await? {
+        let asked = (O::Stop(convert::stop_out(&stop)), None);
+        match self.ask_for(self.number(), asked, order, "a Stop", None).await? {
             A::Halted(halted) => convert::halted_in(halted),
             _ => wrong(),
         }
@@ -272,16 +297,14 @@ impl Lcm for RemoteLcm {
 
     async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
         let what = format!("connecting {} to {}", end.connection.client, end.connection.server);
-        match self.ask(O::Link(convert::remote_out(&end)), deadline, &what).await? {
-            A::Report(report) => convert::report_in(report),
-            _ => wrong(),
-        }
+        let change = Change::Connect { connection: end.connection.clone() };
+        self.change(O::Link(convert::remote_out(&end)), &change, deadline.into(), &what).await
     }
 
     async fn invoke(&self, call: Invoke) -> Result<Reply, Refusal> {
         let (member, after_ns) = (call.member.clone(), call.deadline_ns);
         // The LCM keeps the deadline of the call; this time is for the way there and back.
-        let deadline = Instant::now() + Duration::from_nanos(after_ns) + 5 * WAY;
+        let deadline = clock::now() + Duration::from_nanos(after_ns) + 5 * WAY;
         match self.ask(O::Invoke(convert::invoke_out(call)), deadline, "").await {
             Ok(A::Reply(reply)) => Ok(convert::reply_in(reply)),
             Ok(_) => wrong(),
@@ -316,7 +339,8 @@ impl Lcm for RemoteLcm {
         let feed = Feed { tell: tell.clone(), lost: 0, over };
         let order = O::Subscribe(v1::SubscribeRequest { selections });
         tokio::spawn(mind(self.link.clone(), id, tell, ended));
-        match self.ask_for(id, order, (Instant::now() + WITHIN).into(), "a subscription", Some(feed)).await? {
+        let within = (clock::now() + WITHIN).into();
+        match self.ask_for(id, (order, None), within, "a subscription", Some(feed)).await? {
             A::Subscribed(_) => Ok(told),
             _ => wrong(),
         }

@@ -4,27 +4,27 @@
 //! Invariant: components run on without the GCM. The process says Hello again without waiting for what takes
 //! long: an order under way is given up with its session, and taken back.
 
+mod lateness;
 mod orders;
 mod session;
 #[cfg(test)]
 mod tests;
+mod way;
 
 use std::error::Error;
 use std::fmt;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio::sync::{RwLock, oneshot};
 use tokio::task::JoinHandle;
+use trocar_lcm_api::clock;
 use trocar_model::Refusal;
-use trocar_proto::v1;
-use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
 use self::orders::Told;
-use self::session::{Refused, Session};
-use super::attach::MAX_MESSAGE;
-use super::caller::Tokened;
-use super::dial::dial;
+use self::session::Session;
+use self::way::Grpc;
+pub use self::way::{Inbound, Line, Refused, Way};
 use crate::gcm::{Registration, Slice};
 use crate::lcm::Lcm;
 
@@ -87,7 +87,22 @@ impl Uplink {
         lcm: Arc<dyn Lcm>,
         begin: Begin,
     ) -> Result<Uplink, UplinkError> {
-        let mut tie = Tie { addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
+        let way = Grpc { addr: addr.clone(), within: ATTEMPT };
+        Uplink::over(way, addr, registration, lcm, begin).await
+    }
+
+    /// Attaches over a way of its own, and stays attached in the background. `addr` names it for people.
+    ///
+    /// # Errors
+    /// As [`Uplink::start`].
+    pub async fn over(
+        way: impl Way,
+        addr: String,
+        registration: Registration,
+        lcm: Arc<dyn Lcm>,
+        begin: Begin,
+    ) -> Result<Uplink, UplinkError> {
+        let mut tie = Tie { way, addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
         let session = match begin {
             Begin::AtOnce => tie.attempt().await?,
             Begin::Patient => tie.attempts().await?,
@@ -122,7 +137,9 @@ impl Uplink {
     }
 }
 
-struct Tie {
+struct Tie<W> {
+    way: W,
+    /// Name of the GCM's place, for people.
     addr: String,
     registration: Registration,
     lcm: Arc<dyn Lcm>,
@@ -131,7 +148,7 @@ struct Tie {
     quiet: Arc<RwLock<()>>,
 }
 
-impl Tie {
+impl<W: Way> Tie<W> {
     async fn stay(mut self, mut session: Session, tell: oneshot::Sender<Refusal>) {
         loop {
             let why = session.serve().await;
@@ -167,7 +184,7 @@ impl Tie {
             match self.attempt().await {
                 Err(UplinkError::NoGcm { addr, because }) => log::debug!("no GCM at {addr} yet: {because}"),
                 Err(UplinkError::Refused(Refusal::ProcessExists { .. }))
-                    if since.get_or_insert_with(Instant::now).elapsed() < HELD => {}
+                    if clock::since(*since.get_or_insert_with(clock::now)) < HELD => {}
                 done => return done,
             }
             tokio::time::sleep(pause).await;
@@ -182,30 +199,17 @@ impl Tie {
             Refused::ByGcm(refusal) => UplinkError::Refused(refusal),
             Refused::Unheard(because) => no_gcm(because),
         };
-        let dialed = tokio::time::timeout(ATTEMPT, self.dial()).await.map_err(|_| late(ATTEMPT))?;
-        let client = dialed.map_err(told)?;
-        let taken_in = tokio::time::timeout(TAKEN_IN, self.hello(client)).await;
+        let dialed = tokio::time::timeout(ATTEMPT, self.way.dial()).await.map_err(|_| late(ATTEMPT))?;
+        let line = dialed.map_err(told)?;
+        let taken_in = tokio::time::timeout(TAKEN_IN, self.hello(line)).await;
         taken_in.map_err(|_| late(TAKEN_IN))?.map_err(told)
     }
 
-    /// Returns a client of a GCM that answers. A GCM that hung must not find the Hello of every abandoned
-    /// attempt when it goes on.
-    async fn dial(&self) -> Result<AttachServiceClient<Tokened>, Refused> {
-        let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
-        let channel = dial(&uri, None, ATTEMPT).await.map_err(|e| Refused::Unheard(because(&e)))?;
-        let mut client = AttachServiceClient::new(channel)
-            .max_decoding_message_size(MAX_MESSAGE)
-            .max_encoding_message_size(MAX_MESSAGE);
-        let nothing = v1::TellRequest::default();
-        client.tell(nothing).await.map_err(|e| Refused::Unheard(e.message().to_owned()))?;
-        Ok(client)
-    }
-
-    async fn hello(&self, client: AttachServiceClient<Tokened>) -> Result<Session, Refused> {
+    async fn hello(&self, line: W::Line) -> Result<Session, Refused> {
         // A change that is just being remembered is in the slice.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };
-        Session::open(client, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await
+        Session::open(line, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await
     }
 
     fn slice(&self) -> Slice {
@@ -219,13 +223,4 @@ impl Tie {
 
 fn longer(pause: Duration) -> Duration {
     (pause * 2).min(PAUSE.1)
-}
-
-/// The innermost cause: the outer ones say "transport error".
-fn because(e: &(dyn Error + 'static)) -> String {
-    let mut inner = e;
-    while let Some(source) = inner.source() {
-        inner = source;
-    }
-    inner.to_string()
 }

@@ -12,6 +12,7 @@ use parking_lot::Mutex;
 use tokio::sync::oneshot::error::TryRecvError;
 use tokio::sync::{OwnedRwLockReadGuard, RwLock, mpsc, oneshot};
 use tokio::task::{AbortHandle, JoinSet};
+use trocar_lcm_api::clock;
 use trocar_model::{
     Change, ComponentId, MemberId, Plan, Refusal, State, StopReason, SystemGraph, Verb, inverse,
 };
@@ -71,18 +72,23 @@ impl Orders {
         }
     }
 
+    /// Forgets feeds that ended by themselves, and orders that are done.
+    fn forget_ended(&mut self) {
+        while self.running.try_join_next().is_some() {}
+        self.feeds.retain(|_, feed| !feed.is_finished());
+        self.wires.retain(|_, last| last.try_recv() != Err(TryRecvError::Closed));
+    }
+
     fn turn(&mut self, connection: u64) -> Turn {
         let (done, last) = oneshot::channel();
         Turn { before: self.wires.insert(connection, last), done }
     }
 
-    /// Begins it; the answer follows.
-    pub(super) async fn carry_out(&mut self, order: v1::Order) {
-        // Feeds that ended by themselves.
-        while self.running.try_join_next().is_some() {}
-        self.feeds.retain(|_, feed| !feed.is_finished());
-        self.wires.retain(|_, last| last.try_recv() != Err(TryRecvError::Closed));
-        let deadline = Instant::now() + Duration::from_nanos(order.deadline_ns).min(MOST);
+    /// Begins it; the answer follows. `late`: time of its patience that was lost on the way.
+    pub(super) async fn carry_out(&mut self, order: v1::Order, late: Duration) {
+        self.forget_ended();
+        let patience = Duration::from_nanos(order.deadline_ns).min(MOST);
+        let deadline = clock::now() + patience;
         let (id, local, answers) = (order.id, self.local.clone(), self.answers.clone());
         let decision = match convert::decision_in(order.decision) {
             Ok(decision) => decision,
@@ -103,6 +109,7 @@ impl Orders {
                     false => None,
                 };
                 let turn = wire_of(&change).map(|connection| self.turn(connection));
+                let by = if is_brought_about(&change) { late_by(by, late, patience) } else { by };
                 tokio::spawn(async move {
                     let _done = come(turn).await;
                     let answer = local.apply(change, by, busy).await;
@@ -111,6 +118,7 @@ impl Orders {
             }
             Some(O::Link(end)) => {
                 let turn = end.connection.as_ref().map(|connection| self.turn(connection.id));
+                let by = late_by(by, late, patience);
                 // Before the orders behind it take it, which wait for this one.
                 let busy = local.quiet.clone().read_owned().await;
                 _ = tokio::spawn(async move {
@@ -189,6 +197,7 @@ impl Local {
         by: Order,
         busy: Option<OwnedRwLockReadGuard<()>>,
     ) -> Result<v1::ComponentReport, Refusal> {
+        in_time(&change, &by)?;
         let lease = by.lease.clone();
         let report = self.lcm.apply(change.clone(), by).await?;
         let _busy = match busy {
@@ -208,6 +217,7 @@ impl Local {
     ) -> Result<v1::ComponentReport, Refusal> {
         let end = convert::remote_in(end)?;
         let change = Change::Connect { connection: end.connection.clone() };
+        in_time(&change, &by)?;
         let report = self.lcm.link(end, by.deadline).await?;
         self.remember(change, &report);
         Ok(convert::report(&report))
@@ -240,7 +250,7 @@ impl Local {
             return Err(Refusal::lost(process));
         };
         log::warn!("{what} was done after its GCM was lost: it is taken back");
-        if let Err(refusal) = self.lcm.apply(back, (Instant::now() + UNDO).into()).await {
+        if let Err(refusal) = self.lcm.apply(back, (clock::now() + UNDO).into()).await {
             log::error!("{what} cannot be taken back: {refusal}");
         }
         Err(Refusal::lost(process))
@@ -250,6 +260,29 @@ impl Local {
         let mut told = self.told.lock();
         told.apply(&Plan { changes: vec![change], skipped: Vec::new() });
         observe(&mut told, report);
+    }
+}
+
+/// Refuses what nobody waits for any more.
+fn in_time(change: &Change, by: &Order) -> Result<(), Refusal> {
+    if !is_brought_about(change) || by.deadline > clock::now() {
+        return Ok(());
+    }
+    Err(Refusal::LcmTimeout { process: id_of(change).process.clone(), what: asked(change) })
+}
+
+/// Takes from an order the time that was lost on the way.
+fn late_by(by: Order, late: Duration, patience: Duration) -> Order {
+    Order { deadline: by.deadline - late.min(patience), ..by }
+}
+
+/// Tells whether a change brings about something that nobody wants any more when it is late. What is only
+/// taken away, or brought to rest, is so at any time.
+fn is_brought_about(change: &Change) -> bool {
+    match change {
+        Change::Create { .. } | Change::Configure { .. } | Change::Connect { .. } => true,
+        Change::Run { verb, .. } => !matches!(verb, Verb::Stop | Verb::Remove),
+        Change::Destroy { .. } | Change::Disconnect { .. } => false,
     }
 }
 

@@ -4,20 +4,20 @@
 //! newer one; no order begins after the GCM has given this session up.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{RwLock, broadcast, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::Streaming;
-use trocar_model::{Refusal, Warnings};
-use trocar_proto::v1::attach_service_client::AttachServiceClient;
+use tokio_stream::StreamExt;
+use trocar_lcm_api::clock;
+use trocar_model::Warnings;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
+use super::lateness::Lateness;
 use super::orders::{Orders, Told};
+use super::way::{Inbound, Line, Refused};
 use crate::control::attach::{BEAT, LEASE};
-use crate::control::caller::Tokened;
 use crate::control::convert;
 use crate::gcm::Registration;
 use crate::lcm::{Lcm, Lease, News};
@@ -27,21 +27,14 @@ const QUEUE: usize = 256;
 
 type Outgoing = mpsc::Sender<v1::AttachRequest>;
 
-/// Why there is no session.
-pub(super) enum Refused {
-    /// A GCM was asked, and refused.
-    ByGcm(Refusal),
-    /// No GCM was asked, or the answer is not a GCM's.
-    Unheard(String),
-}
-
 pub(super) struct Session {
-    inbound: Streaming<v1::AttachResponse>,
+    inbound: Inbound,
     out: Outgoing,
     orders: Orders,
     /// Orders that came before Registered.
     early: Vec<v1::Order>,
     tasks: JoinSet<()>,
+    lateness: Lateness,
     /// When the GCM was heard last; what it ordered is taken back when this is dropped.
     heard: watch::Sender<Instant>,
     /// The GCM's number for this incarnation of the process.
@@ -52,7 +45,7 @@ pub(super) struct Session {
 
 impl Session {
     pub(super) async fn open(
-        mut client: AttachServiceClient<Tokened>,
+        line: impl Line,
         who: Registration,
         lcm: Arc<dyn Lcm>,
         told: Told,
@@ -75,11 +68,10 @@ impl Session {
         let unheard = |why: &str| Refused::Unheard(why.to_owned());
         let first = message(attach_request::Message::Hello(hello));
         out.send(first).await.map_err(|_| unheard("the stream closed at once"))?;
-        let stream = client.attach(ReceiverStream::new(outgoing)).await;
-        let mut inbound = stream.map_err(|e| unheard(e.message()))?.into_inner();
+        let mut inbound = line.attach(outgoing).await?;
         let mut early = Vec::new();
         let v1::Registered { epoch, revision, .. } = loop {
-            let said = inbound.message().await.map_err(|e| unheard(e.message()))?;
+            let said = inbound.next().await.transpose().map_err(|e| unheard(e.message()))?;
             match said.and_then(|said| said.message) {
                 Some(attach_response::Message::Registered(r)) => break r,
                 Some(attach_response::Message::Refused(info)) => {
@@ -93,45 +85,49 @@ impl Session {
         let (answer, answers) = mpsc::channel(QUEUE);
         let mut tasks = JoinSet::new();
         tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
-        let (heard, lease) = watch::channel(Instant::now());
+        let (heard, lease) = watch::channel(clock::now());
         // By then the beats that were missed have ended the session, too.
         let lease = Lease::new(lease, BEAT * (LEASE + 1));
         let orders = Orders::new(lcm, told, quiet, answer, lease);
         let revision = who.revision.max(revision);
-        Ok(Session { inbound, out, orders, early, tasks, heard, epoch, revision })
+        let lateness = Lateness::new();
+        Ok(Session { inbound, out, orders, early, tasks, lateness, heard, epoch, revision })
     }
 
     /// Carries out the GCM's orders until the GCM is lost; returns the reason.
     pub(super) async fn serve(&mut self) -> String {
         for order in std::mem::take(&mut self.early) {
-            self.orders.carry_out(order).await;
+            self.orders.carry_out(order, Duration::ZERO).await;
         }
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (mut silent, mut sequence, mut awake) = (0, 0, Instant::now());
+        let (mut silent, mut sequence, mut awake) = (0, 0, clock::now());
         // A process that stood still longer than its lease is lost for the GCM, and its orders are too late:
         // a Start that was given up must not be carried out now.
         let late = |awake: Instant| {
-            let asleep = awake.elapsed();
+            let asleep = clock::since(awake);
             (asleep > BEAT * LEASE).then(|| format!("this process stood still for {} ms", asleep.as_millis()))
         };
         loop {
             tokio::select! {
                 // Messages that arrived count before the silence does.
                 biased;
-                arrived = self.inbound.message() => {
+                arrived = self.inbound.next() => {
                     let said = match arrived {
-                        Ok(Some(said)) => said,
-                        Ok(None) => return "it closed the stream".into(),
-                        Err(e) => return e.message().to_owned(),
+                        Some(Ok(said)) => said,
+                        None => return "it closed the stream".into(),
+                        Some(Err(e)) => return e.message().to_owned(),
                     };
                     if let Some(why) = late(awake) {
                         return why;
                     }
                     silent = 0;
-                    self.heard.send_replace(Instant::now());
+                    self.heard.send_replace(clock::now());
+                    let lateness = self.lateness.of(said.sent_ns);
                     match said.message {
-                        Some(attach_response::Message::Order(order)) => self.orders.carry_out(order).await,
+                        Some(attach_response::Message::Order(order)) => {
+                            self.orders.carry_out(order, lateness).await;
+                        }
                         Some(attach_response::Message::Refused(info)) => return info.text,
                         Some(attach_response::Message::Heartbeat(beat)) => {
                             self.revision = self.revision.max(beat.revision);
@@ -154,7 +150,7 @@ impl Session {
                 }
                 Some(_) = self.tasks.join_next() => return "the stream does not take any more".into(),
             }
-            awake = Instant::now();
+            awake = clock::now();
         }
     }
 }
@@ -205,7 +201,8 @@ async fn waiting(lcm: &Arc<dyn Lcm>, news: &mut broadcast::Receiver<News>) -> Op
 
 fn news_out(next: News) -> v1::AttachRequest {
     let next = match next {
-        News::State(report) => news::News::State(convert::report(&report)),
+        // An LCM of this process answers late itself.
+        News::State(report) | News::Late(_, report) => news::News::State(convert::report(&report)),
         News::Catalog(classes) => {
             news::News::Catalog(v1::Catalog { classes: classes.iter().map(|c| convert::class(c)).collect() })
         }

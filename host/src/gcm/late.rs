@@ -1,0 +1,167 @@
+//! Changes that a process has done after the GCM had given them up: it stood still, or its answer took its
+//! time.
+//!
+//! Invariant: what a caller was told to have failed does not stay: it is taken back, and where that cannot be
+//! done the list and the record say how it stands.
+
+use trocar_lcm_api::clock;
+use trocar_model::{
+    Change, ComponentId, Connection, Entry, Name, Plan, Refusal, Request, State, SystemGraph, Verb, Which,
+};
+
+use super::observed::After;
+use super::{Gcm, text};
+
+impl Gcm {
+    /// Has the process be as was decided, whatever it has done late. Not waited for.
+    pub(super) fn straighten(&self, process: Name, change: Change) {
+        let Some(session) = self.inner.sessions.lock().holder(&process) else { return };
+        let gcm = self.clone();
+        tokio::spawn(async move {
+            let asked = text::asked(&change);
+            log::warn!("{asked} was done in process {process} after it had been given up");
+            while gcm.hears(&process, session) {
+                match gcm.straight(&process, session, &change).await {
+                    Ok(()) => return,
+                    // It is looked at again, or comes anew with what it has.
+                    Err(Refusal::Busy { .. } | Refusal::LcmTimeout { .. }) => {}
+                    Err(Refusal::ProcessLost { .. }) => return,
+                    Err(refusal) => return log::error!("{asked} cannot be taken back: {refusal}"),
+                }
+            }
+        });
+    }
+
+    async fn straight(&self, process: &Name, session: u64, change: &Change) -> Result<(), Refusal> {
+        let doing = format!("taking back {}, which was done late", text::asked(change));
+        let by = (self.inner.claims.arrive(), clock::now() + self.inner.each_change);
+        let claimed = self.claim_for(doing, &[about(change)], by, |_| Ok(Plan::default())).await;
+        let (claim, graph, _) = claimed?;
+        let order = |change: Change| self.takes_back(process, session, change);
+        match change {
+            Change::Create { id, component } if !graph.components.contains_key(id) => {
+                order(Change::Destroy { id: id.clone(), component: component.clone() }).await
+            }
+            Change::Destroy { id, .. } => {
+                let has = self.lcm_of(process)?.inventory().await?.components;
+                if graph.components.contains_key(id) && !has.iter().any(|report| report.id == *id) {
+                    self.is_gone(id);
+                }
+                Ok(())
+            }
+            Change::Configure { id, to, .. } => {
+                let Some(component) = graph.components.get(id).filter(|c| c.config != *to) else {
+                    return Ok(());
+                };
+                let (from, to) = (to.clone(), component.config.clone());
+                let (from_state, to_state) = (component.state, component.state);
+                order(Change::Configure { id: id.clone(), from, to, from_state, to_state }).await
+            }
+            Change::Run { id, to: State::Active, .. } => {
+                let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
+                if !self.inner.ledger.wanted().may_run(id, epoch) {
+                    self.stop_late(id, claim.decision());
+                }
+                Ok(())
+            }
+            Change::Run { id, verb, .. } => {
+                self.stands_late(id, *verb);
+                Ok(())
+            }
+            Change::Connect { connection } if !has(&graph, connection) => {
+                order(Change::Disconnect { connection: connection.clone(), replaced: false }).await
+            }
+            Change::Disconnect { connection, .. } if has(&graph, connection) => {
+                self.is_cut(connection);
+                Ok(())
+            }
+            Change::Create { .. } | Change::Connect { .. } | Change::Disconnect { .. } => Ok(()),
+        }
+    }
+
+    async fn takes_back(&self, process: &Name, session: u64, change: Change) -> Result<(), Refusal> {
+        let (lcm, deadline) = (self.lcm_of(process)?, clock::now() + self.inner.each_change);
+        let done = lcm.apply(change.clone(), deadline.into());
+        match self.in_time(process, &text::asked(&change), deadline, done).await {
+            Ok(report) => {
+                self.enter_states(process, Some(session), &[&report]);
+                Ok(())
+            }
+            Err(Refusal::ConnectionNotFound { .. } | Refusal::ComponentNotFound { .. }) => Ok(()),
+            Err(refusal) => Err(refusal),
+        }
+    }
+
+    /// Decides that a component is gone, with its connections.
+    fn is_gone(&self, id: &ComponentId) {
+        let mut loose = Vec::new();
+        self.decide(|revision| {
+            let mut changes = Vec::new();
+            self.edit(|graph| {
+                let ends = |c: &Connection| c.client.component == *id || c.server.component == *id;
+                let cut: Vec<_> = graph.connections.values().filter(|c| ends(c)).cloned().collect();
+                changes.extend(cut.iter().map(|connection| Change::Disconnect {
+                    connection: connection.clone(),
+                    replaced: false,
+                }));
+                loose.extend(cut.into_iter().map(|connection| {
+                    let is_left = !connection.is_near();
+                    After::Cut { connection, is_left }
+                }));
+                if let Some(component) = graph.components.get(id) {
+                    changes.push(Change::Destroy { id: id.clone(), component: Box::new(component.clone()) });
+                }
+                let before = graph.revision;
+                graph.apply(&Plan { changes: changes.clone(), skipped: Vec::new() });
+                graph.revision = before;
+            });
+            (Entry::Changed { revision, decision: 0, changes }, None)
+        });
+        self.inner.holds.lock().removed(id);
+        self.cut_off(loose);
+    }
+
+    /// Decides that a connection is cut.
+    fn is_cut(&self, connection: &Connection) {
+        self.edit(|graph| {
+            graph.connections.remove(&connection.id);
+            graph.revision += 1;
+        });
+        let is_left = !connection.is_near();
+        self.cut_off(vec![After::Cut { connection: connection.clone(), is_left }]);
+    }
+
+    /// Decides that a component stands as it does.
+    fn stands_late(&self, id: &ComponentId, verb: Verb) {
+        self.inner.ledger.enter(|wanted| {
+            let graph = self.graph();
+            let stands = graph.components.get(id).map(|component| component.state);
+            let was = wanted.components.get(id).map(|component| component.state);
+            match (stands, was) {
+                (Some(to), Some(from)) if to != from && to != State::Active => {
+                    let changes = vec![Change::Run { id: id.clone(), verb, from, to }];
+                    (Entry::Changed { revision: graph.revision, decision: 0, changes }, None)
+                }
+                _ => (Entry::Noted, None),
+            }
+        });
+    }
+}
+
+fn has(graph: &SystemGraph, connection: &Connection) -> bool {
+    let is_same = |c: &Connection| (&c.client, &c.server) == (&connection.client, &connection.server);
+    graph.connections.get(&connection.id).is_some_and(is_same)
+}
+
+/// Returns a request that touches what the change does.
+fn about(change: &Change) -> Request {
+    match change {
+        Change::Create { id, .. }
+        | Change::Destroy { id, .. }
+        | Change::Configure { id, .. }
+        | Change::Run { id, .. } => Request::Remove { id: id.clone(), force: false },
+        Change::Connect { connection: c } | Change::Disconnect { connection: c, .. } => {
+            Request::Disconnect { which: Which::Pair { client: c.client.clone(), server: c.server.clone() } }
+        }
+    }
+}

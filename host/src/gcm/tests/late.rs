@@ -1,0 +1,78 @@
+//! Changes that a process has done after they were given up.
+//!
+//! Promise: what a caller was told to have failed does not stay, and what is gone is not listed.
+
+use serde_json::json;
+use trocar_lcm_api::{Lcm, News, clock};
+use trocar_model::{Change, ConnectOptions, PortId, plan};
+
+use super::*;
+
+fn connect(client: &str, server: &str) -> Request {
+    let port = |path: &str| PortId::parse(path).unwrap();
+    Request::Connect { client: port(client), server: port(server), options: ConnectOptions::default() }
+}
+
+fn configure(path: &str) -> Request {
+    Request::Configure { id: id(path), patch: json!({ "gain": 2.0 }), execution: None }
+}
+
+/// A change that the process does and tells too late.
+async fn late(lcm: &FakeLcm, change: Change) {
+    let done = lcm.apply(change.clone(), clock::now().into()).await.unwrap();
+    lcm.news.send(News::Late(Box::new(change), done)).unwrap();
+}
+
+fn planned(gcm: &Gcm, request: &Request) -> Change {
+    plan(&gcm.graph(), request).unwrap().changes.remove(0)
+}
+
+#[tokio::test]
+async fn what_is_made_late_is_removed_again() {
+    let (gcm, lcm) = system().await;
+    let change = planned(&gcm, &create("host/late"));
+    late(&lcm, change).await;
+    while lcm.state("host/late").is_some() {
+        tokio::task::yield_now().await;
+    }
+    assert!(gcm.graph().components.is_empty(), "nobody was told that it is there");
+    ask(&gcm, vec![create("host/late")]).await.unwrap();
+}
+
+#[tokio::test]
+async fn what_is_made_late_and_was_accepted_meanwhile_stays() {
+    let (gcm, lcm) = system().await;
+    let change = planned(&gcm, &create("host/late"));
+    ask(&gcm, vec![create("host/late")]).await.unwrap();
+    late(&lcm, change).await;
+    // A request that has to wait for the look at it.
+    ask(&gcm, vec![configure("host/late")]).await.unwrap();
+    assert!(lcm.state("host/late").is_some());
+}
+
+#[tokio::test]
+async fn what_is_removed_late_is_gone_with_its_connections_and_a_new_revision() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a"), create("host/b"), connect("host/a/robot", "host/b/arm")]).await.unwrap();
+    let (id, before) = (id("host/b"), gcm.graph());
+    let component = Box::new(component(&before, "host/b"));
+    late(&lcm, Change::Destroy { id: id.clone(), component }).await;
+    let graph = until(&gcm, "it is gone", |graph| !graph.components.contains_key(&id)).await;
+    assert!(graph.connections.is_empty(), "{:?}", graph.connections);
+    assert_eq!(graph.revision, before.revision + 1);
+    let wanted = gcm.inner.ledger.wanted();
+    assert!(!wanted.components.contains_key(&id) && wanted.connections.is_empty());
+}
+
+#[tokio::test]
+async fn what_is_connected_late_is_cut() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a"), create("host/b")]).await.unwrap();
+    let change = planned(&gcm, &connect("host/a/robot", "host/b/arm"));
+    late(&lcm, change).await;
+    let cut = "Disconnect host/a/robot from host/b/arm";
+    while !lcm.done().iter().any(|done| done == cut) {
+        tokio::task::yield_now().await;
+    }
+    assert!(gcm.graph().connections.is_empty());
+}

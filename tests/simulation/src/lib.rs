@@ -1,0 +1,41 @@
+//! The GCM as it is shipped, with both halves of Attach, among model processes, networks and disks that fail:
+//! one thread, one seed, a clock that jumps from event to event.
+//!
+//! Invariant: what is simulated is what surrounds the managers; nothing of theirs is a model.
+
+mod callers;
+mod chance;
+mod classes;
+mod disk;
+#[path = "../../../host/lcm/src/latches.rs"]
+mod latches;
+mod network;
+mod process;
+mod truth;
+mod world;
+
+use chance::Chance;
+pub use truth::Ended;
+use truth::Truth;
+use world::World;
+
+/// Runs one seed for so many events. `is_told`: they are printed, up to a violation.
+///
+/// # Panics
+/// The machine gives no thread.
+pub fn run(seed: u64, events: u64, is_told: bool) -> Ended {
+    let work = move || {
+        // Before anything is drawn on this thread.
+        chance::seed(seed);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
+        let runtime = runtime.expect("a runtime");
+        let truth = Truth::new(is_told);
+        runtime.block_on(World::new(Chance::of(seed), truth.clone()).lives(events));
+        truth.ended()
+    };
+    let ended = std::thread::Builder::new().spawn(work).expect("a thread").join();
+    ended.unwrap_or_else(|panic| {
+        let said = panic.downcast_ref::<String>().cloned().unwrap_or_else(|| "a panic".to_owned());
+        Ended { events: 0, hash: 0, violation: Some(said) }
+    })
+}

@@ -1,0 +1,532 @@
+//! A model of the components of one process: it does what it is ordered, takes its time, refuses, fails, and
+//! ends.
+//!
+//! Invariant: as of a true LCM. A change that is not done by its deadline, or whose orderer is gone, is not
+//! done; what runs through one component is done one after the other; a Stop is noted before anything else.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+use async_trait::async_trait;
+use parking_lot::Mutex;
+use tokio::sync::{OwnedMutexGuard, broadcast, mpsc, watch};
+use trocar::gcm::plan_lines;
+use trocar_lcm_api::{
+    Decision, Detail, HalfReport, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo,
+    RemoteEnd, Reply, Report, Sample, Selection, Stop, When, clock,
+};
+use trocar_links::{Card, LAYOUT};
+use trocar_model::{
+    Change, ClassInfo, Component, ComponentId, Connection, End, Health, Name, Plan, PortId, Proxy, Refusal,
+    State, StopReason, Target, Verb, Warnings, allowed, transition,
+};
+
+use crate::chance::Chance;
+use crate::latches::Latches;
+use crate::truth::{Kind, Truth};
+
+/// News that may wait.
+const NEWS: usize = 64;
+/// One of so many changes is refused by its component.
+const REFUSED: usize = 40;
+/// One of so many starts fails.
+const FAILS: usize = 50;
+/// One of so many halves of connections cannot be made.
+const UNREACHABLE: usize = 30;
+
+/// One incarnation of a process.
+pub(crate) struct ModelLcm {
+    name: Name,
+    /// Number of the incarnation, of all processes together.
+    pub(crate) number: u64,
+    has: Mutex<Has>,
+    latches: Latches,
+    news: broadcast::Sender<News>,
+    alive: watch::Sender<bool>,
+    classes: Vec<Arc<ClassInfo>>,
+    chance: Chance,
+    truth: Truth,
+}
+
+#[derive(Default)]
+struct Has {
+    components: BTreeMap<ComponentId, Component>,
+    connections: BTreeMap<u64, Connection>,
+    /// Halves of connections to other processes.
+    halves: BTreeMap<u64, (Connection, End)>,
+    /// Decisions by which components were set in motion last.
+    started: BTreeMap<ComponentId, Decision>,
+    /// Halves that are only being made; closed when one is to be no more.
+    linking: BTreeMap<u64, watch::Sender<()>>,
+    /// Held while something runs through a component.
+    turns: BTreeMap<ComponentId, Arc<tokio::sync::Mutex<()>>>,
+    /// Number of the last report.
+    reports: u64,
+}
+
+/// Everything that a process has, for a look from outside.
+#[derive(Debug)]
+pub(crate) struct Seen {
+    pub(crate) components: BTreeMap<ComponentId, Component>,
+    pub(crate) connections: BTreeMap<u64, Connection>,
+    pub(crate) halves: BTreeMap<u64, (Connection, End)>,
+}
+
+impl ModelLcm {
+    pub(crate) fn new(
+        name: Name,
+        number: u64,
+        classes: Vec<Arc<ClassInfo>>,
+        chance: Chance,
+        truth: Truth,
+    ) -> Arc<ModelLcm> {
+        Arc::new(ModelLcm {
+            name,
+            number,
+            has: Mutex::default(),
+            latches: Latches::default(),
+            news: broadcast::Sender::new(NEWS),
+            alive: watch::Sender::new(true),
+            classes,
+            chance,
+            truth,
+        })
+    }
+
+    /// Ends it in the middle of whatever it does.
+    pub(crate) fn kill(&self) {
+        self.alive.send_replace(false);
+        let mut has = self.has.lock();
+        for id in std::mem::take(&mut *has).components.into_keys() {
+            self.truth.stands(&id);
+        }
+    }
+
+    pub(crate) fn seen(&self) -> Seen {
+        let has = self.has.lock();
+        Seen {
+            components: has.components.clone(),
+            connections: has.connections.clone(),
+            halves: has.halves.clone(),
+        }
+    }
+
+    /// Stops what is named, as its own port is asked to.
+    pub(crate) async fn stop_here(&self, targets: Vec<Target>, deadline: Instant) -> Vec<Halted> {
+        let order = Order { decision: Decision::HERE, ..Order::from(deadline) };
+        // It speaks for itself; it never says that it is lost.
+        self.stop(Stop { targets, known_here: 0 }, order).await.unwrap_or_default()
+    }
+
+    /// A component fails by itself.
+    pub(crate) fn fail_one(&self) {
+        let runs = |c: &Component| c.state == State::Active;
+        let active: Vec<ComponentId> =
+            self.has.lock().components.iter().filter(|(_, c)| runs(c)).map(|(id, _)| id.clone()).collect();
+        if active.is_empty() {
+            return;
+        }
+        let id = self.chance.one_of(&active).clone();
+        self.truth.event(Kind::Fails, || format!("{id} fails by itself"));
+        if let Ok(report) = self.becomes(&id, State::Fault, "the cable is out") {
+            self.tell(report);
+        }
+    }
+
+    fn lost(&self) -> Refusal {
+        Refusal::lost(self.name.clone())
+    }
+
+    fn is_alive(&self) -> Result<(), Refusal> {
+        if *self.alive.borrow() { Ok(()) } else { Err(self.lost()) }
+    }
+
+    fn tell(&self, report: Report) {
+        // Nobody may be listening.
+        let _ = self.news.send(News::State(report));
+    }
+
+    /// Puts a component into a state.
+    fn becomes(&self, id: &ComponentId, state: State, fault: &str) -> Result<Report, Refusal> {
+        self.is_alive()?;
+        let mut has = self.has.lock();
+        let unknown = || Refusal::ComponentNotFound { id: id.clone(), known: Vec::new() };
+        let component = has.components.get_mut(id).ok_or_else(unknown)?;
+        let moved = component.state == State::Active;
+        (component.state, component.fault) = (state, fault.to_owned());
+        let class = component.class.clone();
+        match state {
+            State::Active if !moved => self.truth.moves(id, &class, self.number),
+            State::Active => {}
+            _ => self.truth.stands(id),
+        }
+        has.report(id)
+    }
+
+    /// Waits for the turn of a component.
+    async fn turn(&self, id: &ComponentId, deadline: Instant) -> Result<OwnedMutexGuard<()>, Refusal> {
+        let turn = self.has.lock().turns.entry(id.clone()).or_default().clone();
+        let turn = tokio::time::timeout_at(deadline.into(), turn.lock_owned()).await;
+        self.is_alive()?;
+        turn.map_err(|_| self.late("its turn"))
+    }
+
+    fn late(&self, what: &str) -> Refusal {
+        Refusal::LcmTimeout { process: self.name.clone(), what: what.to_owned() }
+    }
+
+    /// Takes the time that the work on a component takes.
+    ///
+    /// # Errors
+    /// It is not done in time, nobody waits for it any more, or the process has ended.
+    async fn works(&self, order: &Order) -> Result<(), Refusal> {
+        // Of an order that comes late nothing is done.
+        if order.deadline <= clock::now() {
+            return Err(self.late("it"));
+        }
+        let takes = self.chance.takes();
+        let mut alive = self.alive.subscribe();
+        if !takes.is_zero() {
+            tokio::select! {
+                biased;
+                _ = alive.wait_for(|alive| !alive) => {}
+                () = order.lease.ended() => return Err(self.lost()),
+                () = tokio::time::sleep(takes) => {}
+                () = tokio::time::sleep_until(order.deadline.into()) => return Err(self.late("it")),
+            }
+        }
+        self.is_alive()?;
+        if order.lease.has_ended() { Err(self.lost()) } else { Ok(()) }
+    }
+
+    async fn create(&self, id: ComponentId, component: Component, order: &Order) -> Result<Report, Refusal> {
+        let _turn = self.turn(&id, order.deadline).await?;
+        if self.has.lock().components.contains_key(&id) {
+            return Err(Refusal::ComponentExists { id });
+        }
+        self.works(order).await?;
+        if self.chance.once_in(REFUSED) {
+            return Err(refused(id, "create"));
+        }
+        let mut has = self.has.lock();
+        has.components.insert(id.clone(), Component { health: Health::Ok, ..component });
+        has.report(&id)
+    }
+
+    async fn destroy(&self, id: &ComponentId, order: &Order) -> Result<Report, Refusal> {
+        let _turn = self.turn(id, order.deadline).await?;
+        let mut has = self.has.lock();
+        let report = has.report(id)?;
+        has.components.remove(id);
+        let ends = |c: &Connection| c.client.component == *id || c.server.component == *id;
+        has.connections.retain(|_, connection| !ends(connection));
+        let gone: Vec<(u64, End)> = has
+            .halves
+            .iter()
+            .filter(|(_, (connection, _))| ends(connection))
+            .map(|(number, (_, end))| (*number, *end))
+            .collect();
+        for (connection, end) in gone {
+            has.halves.remove(&connection);
+            let _ = self.news.send(News::Half(HalfReport { connection, end, proxy: None }));
+        }
+        self.truth.stands(id);
+        Ok(report)
+    }
+
+    async fn run(&self, id: &ComponentId, verb: Verb, order: &Order) -> Result<Report, Refusal> {
+        let _turn = self.turn(id, order.deadline).await?;
+        let stood = self.state(id)?;
+        let held_off = |state, why: &str| Refusal::WrongState {
+            id: id.clone(),
+            state,
+            verb,
+            allowed: allowed(state),
+            why: why.to_owned(),
+        };
+        let moves = matches!(verb, Verb::Start | Verb::Resume);
+        // What is removed is brought to rest first.
+        let does = if verb == Verb::Remove { Verb::Stop } else { verb };
+        let to = transition(stood, does).ok_or_else(|| held_off(stood, ""))?;
+        if moves && let Some(why) = self.latches.hold_off(id, order.decision) {
+            return Err(held_off(stood, why));
+        }
+        if !matches!(verb, Verb::Stop | Verb::Remove) {
+            self.works(order).await?;
+            if self.chance.once_in(REFUSED) {
+                return Err(refused(id.clone(), "start"));
+            }
+            if moves && self.chance.once_in(FAILS) {
+                let report = self.becomes(id, State::Fault, "start: the cable is out")?;
+                self.tell(report);
+                return Err(Refusal::ComponentFault { id: id.clone(), text: "the cable is out".into() });
+            }
+        }
+        if moves && let Some(why) = self.latches.hold_off(id, order.decision) {
+            return Err(held_off(stood, why));
+        }
+        // It may have failed by itself meanwhile.
+        let now = self.state(id)?;
+        if moves && now != stood {
+            return Err(held_off(now, "it failed before this came to its turn"));
+        }
+        let to = if now == stood { to } else { transition(now, does).unwrap_or(now) };
+        if moves {
+            self.has.lock().started.insert(id.clone(), order.decision);
+        }
+        let report = self.becomes(id, to, "")?;
+        if to != now {
+            self.tell(report.clone());
+        }
+        Ok(report)
+    }
+
+    async fn configure(
+        &self,
+        id: &ComponentId,
+        (config, to_state): (&serde_json::Value, State),
+        order: &Order,
+    ) -> Result<Report, Refusal> {
+        let _turn = self.turn(id, order.deadline).await?;
+        let stood = self.state(id)?;
+        self.works(order).await?;
+        if self.chance.once_in(REFUSED) {
+            return Err(refused(id.clone(), "configure"));
+        }
+        let mut has = self.has.lock();
+        if let Some(component) = has.components.get_mut(id) {
+            component.config = config.clone();
+            // Nothing is set in motion by it, and what has failed stays so.
+            if component.state == stood && to_state != State::Active && stood != State::Fault {
+                component.state = to_state;
+                self.truth.stands(id);
+            }
+        }
+        has.report(id)
+    }
+
+    fn state(&self, id: &ComponentId) -> Result<State, Refusal> {
+        self.has.lock().report(id).map(|report| report.state)
+    }
+
+    fn connect(&self, connection: Connection) -> Result<Report, Refusal> {
+        if self.chance.once_in(REFUSED) {
+            return Err(refused(connection.client.component, "connect"));
+        }
+        let mut has = self.has.lock();
+        has.report(&connection.server.component)?;
+        let report = has.report(&connection.client.component)?;
+        has.connections.insert(connection.id.0, connection);
+        Ok(report)
+    }
+
+    fn disconnect(&self, connection: &Connection) -> Result<Report, Refusal> {
+        let number = connection.id.0;
+        let mut has = self.has.lock();
+        // A half that is only being made is not made any more.
+        if has.linking.remove(&number).is_some() {
+            let here = |port: &&PortId| port.component.process == self.name;
+            let mine = [&connection.client, &connection.server].into_iter().find(here);
+            return has.report(&mine.unwrap_or(&connection.client).component);
+        }
+        let known = || Refusal::ConnectionNotFound { asked: number.to_string(), known: Vec::new() };
+        if let Some(near) = has.connections.remove(&number) {
+            return has.report(&near.client.component);
+        }
+        let (connection, end) = has.halves.remove(&number).ok_or_else(known)?;
+        let report = has.report(&connection.port(end).component);
+        drop(has);
+        let _ = self.news.send(News::Half(HalfReport { connection: number, end, proxy: None }));
+        report
+    }
+
+    fn half(&self, number: u64, end: End) -> HalfReport {
+        let (process, carrier) = (self.name.clone(), "memfd".into());
+        let proxy = Proxy { process, epoch: self.number, why: String::new(), carrier };
+        HalfReport { connection: number, end, proxy: Some(proxy) }
+    }
+
+    /// Stops a component that a Stop names, unless somebody has started it who knew of that Stop.
+    fn halt(&self, id: &ComponentId, decision: Decision) -> Result<Report, Refusal> {
+        let to = match self.state(id)? {
+            State::Active if self.started_by(id) > decision => State::Active,
+            State::Active | State::Stopped(StopReason::Restarted) => State::Stopped(StopReason::Requested),
+            stands => stands,
+        };
+        if to == self.state(id)? {
+            return self.has.lock().report(id);
+        }
+        let report = self.becomes(id, to, "")?;
+        self.tell(report.clone());
+        Ok(report)
+    }
+
+    fn started_by(&self, id: &ComponentId) -> Decision {
+        self.has.lock().started.get(id).copied().unwrap_or_default()
+    }
+}
+
+impl Has {
+    fn report(&mut self, id: &ComponentId) -> Result<Report, Refusal> {
+        let unknown = || Refusal::ComponentNotFound { id: id.clone(), known: Vec::new() };
+        let component = self.components.get(id).ok_or_else(unknown)?;
+        self.reports += 1;
+        Ok(Report {
+            id: id.clone(),
+            number: self.reports,
+            state: component.state,
+            health: component.health,
+            fault: component.fault.clone(),
+            ports: None,
+            lost_connections: Vec::new(),
+            warnings: Vec::new(),
+        })
+    }
+}
+
+fn refused(id: ComponentId, entry: &'static str) -> Refusal {
+    Refusal::ComponentRefused { id, entry, text: "the cable is out".into() }
+}
+
+fn not_modelled<T>() -> Result<T, Refusal> {
+    Err(Refusal::NotImplemented { what: "this".into(), hint: String::new() })
+}
+
+#[async_trait]
+impl Lcm for ModelLcm {
+    async fn apply(&self, change: Change, order: Order) -> Result<Report, Refusal> {
+        self.is_alive()?;
+        self.truth.event(Kind::Ordered, || {
+            let plan = Plan { changes: vec![change.clone()], skipped: Vec::new() };
+            format!("{} is ordered {} by {}", self.name, plan_lines(&plan).concat(), order.decision.0)
+        });
+        match change {
+            Change::Create { id, component } => self.create(id, *component, &order).await,
+            Change::Destroy { id, .. } => self.destroy(&id, &order).await,
+            Change::Configure { id, to, to_state, .. } => self.configure(&id, (&to, to_state), &order).await,
+            Change::Run { id, verb, .. } => self.run(&id, verb, &order).await,
+            Change::Connect { connection } => self.connect(connection),
+            Change::Disconnect { connection, .. } => self.disconnect(&connection),
+        }
+    }
+
+    async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
+        self.is_alive()?;
+        self.truth.event(Kind::Ordered, || {
+            format!("{} is ordered to stop {stop:?} by {}", self.name, order.decision.0)
+        });
+        if let Some(told) = self.latches.stop(&stop, order.decision) {
+            let _ = self.news.send(News::StoppedHere(told));
+        }
+        let named: Vec<(ComponentId, State)> = {
+            let has = self.has.lock();
+            let named = |id: &ComponentId| stop.targets.iter().any(|target| target.names(id));
+            has.components.iter().filter(|(id, _)| named(id)).map(|(id, c)| (id.clone(), c.state)).collect()
+        };
+        let mut halted = Vec::new();
+        // First all that move stand still.
+        let mut stopped = Vec::new();
+        for (id, was) in named {
+            let moves = was == State::Active;
+            stopped.push((self.halt(&id, order.decision), id, was, moves));
+        }
+        for (first, id, was, moves) in stopped {
+            // A start under way takes itself back, and is waited for.
+            let done = match first {
+                Ok(report) if moves => Ok(report),
+                _ => match self.turn(&id, order.deadline).await {
+                    Ok(_turn) => self.halt(&id, order.decision),
+                    Err(late) => Err(late),
+                },
+            };
+            halted.push(Halted { id, was, done });
+        }
+        self.is_alive()?;
+        Ok(halted)
+    }
+
+    async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
+        self.is_alive()?;
+        let connection = end.connection;
+        self.truth.event(Kind::Ordered, || format!("{} is ordered to link {connection:?}", self.name));
+        let here = |port: &PortId| port.component.process == self.name;
+        let end = if here(&connection.client) { End::Client } else { End::Server };
+        let (making, mut made) = watch::channel(());
+        self.has.lock().linking.insert(connection.id.0, making);
+        let gone = || Refusal::ConnectionNotFound { asked: connection.id.0.to_string(), known: Vec::new() };
+        let by = Order::from(deadline);
+        let worked = tokio::select! {
+            biased;
+            _ = made.changed() => return Err(gone()),
+            worked = self.works(&by) => worked,
+        };
+        self.has.lock().linking.remove(&connection.id.0);
+        worked?;
+        if self.chance.once_in(UNREACHABLE) {
+            let Connection { client, server, .. } = connection;
+            return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
+        }
+        let number = connection.id.0;
+        let report = {
+            let mut has = self.has.lock();
+            let report = has.report(&connection.port(end).component)?;
+            has.halves.insert(number, (connection, end));
+            report
+        };
+        let _ = self.news.send(News::Half(self.half(number, end)));
+        Ok(report)
+    }
+
+    async fn invoke(&self, _: Invoke) -> Result<Reply, Refusal> {
+        not_modelled()
+    }
+
+    async fn read(&self, _: String, _: When, _: bool, _: Instant) -> Result<Sample, Refusal> {
+        not_modelled()
+    }
+
+    async fn subscribe(&self, _: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal> {
+        not_modelled()
+    }
+
+    async fn detail(&self, _: ComponentId) -> Result<Detail, Refusal> {
+        not_modelled()
+    }
+
+    async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
+        not_modelled()
+    }
+
+    async fn plugins(&self) -> Result<Vec<PluginInfo>, Refusal> {
+        not_modelled()
+    }
+
+    async fn inventory(&self) -> Result<Inventory, Refusal> {
+        self.is_alive()?;
+        let mut has = self.has.lock();
+        let ids: Vec<ComponentId> = has.components.keys().cloned().collect();
+        let components = ids.iter().map(|id| has.report(id)).collect::<Result<_, _>>()?;
+        let card = Card {
+            process: self.name.to_string(),
+            instance: self.number.to_string(),
+            boot: "1".into(),
+            uid: 0,
+            socket: "nowhere".into(),
+            layout: LAYOUT,
+        };
+        Ok(Inventory {
+            card: Some(card),
+            components,
+            classes: self.classes.clone(),
+            halves: has.halves.iter().map(|(number, (_, end))| self.half(*number, *end)).collect(),
+            warnings: Warnings::default(),
+            decision: self.latches.seen(),
+            stopped_here: self.latches.stopped_here(),
+        })
+    }
+
+    fn news(&self) -> broadcast::Receiver<News> {
+        self.news.subscribe()
+    }
+}

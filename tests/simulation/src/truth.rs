@@ -1,0 +1,305 @@
+//! Everything that happened in a run, and what must never happen.
+//!
+//! Invariant: it looks at processes themselves and at answers, never at what a manager believes.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
+
+use parking_lot::Mutex;
+use trocar::gcm::Record;
+use trocar_model::{ClassInfo, ComponentId, Entry, Safety, Target};
+
+/// Kind of an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Kind {
+    Asked,
+    Answered,
+    Sent,
+    Ordered,
+    Written,
+    Fails,
+    Ended,
+    Began,
+    Network,
+    Moves,
+    Rests,
+}
+
+#[derive(Clone)]
+pub(crate) struct Truth(Arc<Mutex<Happened>>);
+
+#[derive(Default)]
+struct Happened {
+    events: u64,
+    hash: u64,
+    /// Events are told as they happen.
+    is_told: bool,
+    violation: Option<String>,
+    /// Components that move.
+    moving: BTreeSet<ComponentId>,
+    /// Requests to set something in motion, by the event at which they were asked.
+    starts: BTreeMap<u64, Start>,
+    /// Stops that were answered, the last one last.
+    stops: VecDeque<Stopped>,
+    /// Event at which each incarnation of a process began.
+    began: BTreeMap<u64, u64>,
+    /// Events at which Stops came on record, by what they name.
+    recorded_stops: BTreeMap<Vec<Target>, u64>,
+    /// Revisions that are on record.
+    recorded: BTreeSet<u64>,
+    /// Revisions of accepted changes.
+    accepted: BTreeMap<u64, String>,
+    /// A manager was lost with decisions that were in memory alone: until the next rest the one after it does
+    /// not know all that there is.
+    is_blind: bool,
+    /// Components as the last accepted request has left them.
+    left: BTreeMap<ComponentId, Left>,
+}
+
+struct Start {
+    targets: Vec<Target>,
+    /// Nobody knows yet what becomes of it.
+    is_open: bool,
+}
+
+struct Stopped {
+    /// Event at which it was asked.
+    asked: u64,
+    targets: Vec<Target>,
+    /// Components that it did not reach, as its answer says.
+    failed: BTreeSet<ComponentId>,
+    /// Components of which it speaks: those of its answer, and those that were made by an accepted request.
+    speaks_of: BTreeSet<ComponentId>,
+    /// Event at which it was answered.
+    answered: u64,
+    /// It is on record.
+    is_recorded: bool,
+}
+
+impl Stopped {
+    fn holds(&self, id: &ComponentId) -> bool {
+        self.speaks_of.contains(id)
+            && !self.failed.contains(id)
+            && self.targets.iter().any(|target| target.names(id))
+    }
+}
+
+/// A component after an accepted request.
+#[derive(Clone, Debug)]
+struct Left {
+    revision: u64,
+    /// Its setting; `None`: it is removed.
+    gain: Option<f64>,
+    /// Something was asked of it whose result nobody knows.
+    is_unknown: bool,
+}
+
+/// End of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ended {
+    pub events: u64,
+    /// Of all events: two runs with the same hash are the same.
+    pub hash: u64,
+    pub violation: Option<String>,
+}
+
+impl Truth {
+    pub(crate) fn new(is_told: bool) -> Truth {
+        Truth(Arc::new(Mutex::new(Happened { is_told, ..Happened::default() })))
+    }
+
+    /// Notes an event; returns its number.
+    pub(crate) fn event(&self, kind: Kind, what: impl FnOnce() -> String) -> u64 {
+        let mut happened = self.0.lock();
+        happened.events += 1;
+        let mut hasher = DefaultHasher::new();
+        (happened.hash, kind, happened.events).hash(&mut hasher);
+        happened.hash = hasher.finish();
+        if happened.is_told && happened.violation.is_none() {
+            let ms = began().elapsed().as_secs_f64() * 1e3;
+            println!("{:>7} {ms:>12.3} ms {kind:?}: {}", happened.events, what());
+        }
+        happened.events
+    }
+
+    pub(crate) fn events(&self) -> u64 {
+        self.0.lock().events
+    }
+
+    pub(crate) fn violated(&self, what: String) {
+        self.0.lock().violated(what);
+    }
+
+    pub(crate) fn is_violated(&self) -> bool {
+        self.0.lock().violation.is_some()
+    }
+
+    pub(crate) fn ended(&self) -> Ended {
+        let happened = self.0.lock();
+        Ended { events: happened.events, hash: happened.hash, violation: happened.violation.clone() }
+    }
+
+    // -- motion --------------------------------------------------------------------------------------------
+
+    /// Somebody asks for something to be set in motion.
+    pub(crate) fn start_asked(&self, event: u64, targets: Vec<Target>) {
+        self.0.lock().starts.insert(event, Start { targets, is_open: true });
+    }
+
+    /// It was answered.
+    pub(crate) fn start_answered(&self, event: u64) {
+        if let Some(start) = self.0.lock().starts.get_mut(&event) {
+            start.is_open = false;
+        }
+    }
+
+    /// A Stop, asked at that event, was answered: everything that it names stands still, but for what failed.
+    /// `told`: components of which its answer speaks.
+    pub(crate) fn stopped(
+        &self,
+        asked: u64,
+        targets: Vec<Target>,
+        failed: BTreeSet<ComponentId>,
+        told: BTreeSet<ComponentId>,
+    ) {
+        let mut happened = self.0.lock();
+        let mut speaks_of = told;
+        if !happened.is_blind {
+            let there = happened.left.iter().filter(|(_, left)| left.gain.is_some() && !left.is_unknown);
+            speaks_of.extend(there.map(|(id, _)| id.clone()));
+        }
+        let (answered, is_recorded) =
+            (happened.events, happened.recorded_stops.get(&targets).is_some_and(|at| *at > asked));
+        let stopped = Stopped { asked, targets, failed, speaks_of, answered, is_recorded };
+        let started_since = |id: &ComponentId| {
+            let mut since = happened.starts.range(asked..);
+            since.any(|(_, start)| start.targets.iter().any(|target| target.names(id)))
+        };
+        let moves = |id: &&ComponentId| stopped.holds(id) && !started_since(id);
+        if let Some(id) = happened.moving.iter().find(moves).cloned() {
+            happened.violated(format!("{id} moves although a Stop asked at event {asked} was answered"));
+        }
+        happened.stops.push_back(stopped);
+        if happened.stops.len() > 256 {
+            happened.stops.pop_front();
+        }
+    }
+
+    /// A component is set in motion.
+    pub(crate) fn moves(&self, id: &ComponentId, class: &ClassInfo, incarnation: u64) {
+        self.event(Kind::Moves, || format!("{id} moves, in incarnation {incarnation}"));
+        let mut happened = self.0.lock();
+        happened.moving.insert(id.clone());
+        let began = happened.began.get(&incarnation).copied().unwrap_or_default();
+        // The answer to a Stop waits a moment for its record, and no longer. Of one that a manager has lost
+        // and that the process cannot know of, since it began later, nobody knows.
+        let counts = |stop: &&Stopped| stop.holds(id) && (stop.is_recorded || stop.answered > began);
+        let stop = happened.stops.iter().rev().find(counts).map_or(0, |stop| stop.asked);
+        let is_actuator = class.safety == Safety::Actuator;
+        let mut asked = happened.starts.range(stop..);
+        let is_asked = asked.any(|(_, start)| {
+            (start.is_open || !is_actuator) && start.targets.iter().any(|target| target.names(id))
+        });
+        if !is_asked {
+            let since =
+                if stop > 0 { format!(" since the Stop asked at event {stop}") } else { String::new() };
+            happened.violated(format!("{id} is set in motion, which nobody asks for{since}"));
+        }
+    }
+
+    /// An incarnation of a process begins.
+    pub(crate) fn begins(&self, incarnation: u64, event: u64) {
+        self.0.lock().began.insert(incarnation, event);
+    }
+
+    /// A component stands still, or is gone.
+    pub(crate) fn stands(&self, id: &ComponentId) {
+        self.0.lock().moving.remove(id);
+    }
+
+    // -- records -------------------------------------------------------------------------------------------
+
+    pub(crate) fn on_record(&self, record: &Record) {
+        if let Entry::Stopped { targets, .. } = &record.entry {
+            let mut happened = self.0.lock();
+            let event = happened.events;
+            happened.recorded_stops.insert(targets.clone(), event);
+            let same = happened.stops.iter_mut().filter(|stop| stop.targets == *targets);
+            same.for_each(|stop| stop.is_recorded = true);
+        }
+        if let Some(revision) = record.entry.revision() {
+            self.0.lock().recorded.insert(revision);
+        }
+    }
+
+    /// A request that changes something was accepted. `on_record`: its record is to be on the disk.
+    pub(crate) fn accepted(&self, revision: u64, what: &str, on_record: bool) {
+        let mut happened = self.0.lock();
+        if on_record && !happened.recorded.contains(&revision) {
+            happened
+                .violated(format!("{what} was answered with revision {revision}, which is not on record"));
+        }
+        if let Some(other) = happened.accepted.insert(revision, what.to_owned()) {
+            happened.violated(format!("{what} and {other} have both revision {revision}"));
+        }
+    }
+
+    /// A component is left so by the accepted request of that revision.
+    pub(crate) fn left(&self, id: &ComponentId, revision: u64, gain: Option<f64>) {
+        let mut happened = self.0.lock();
+        match happened.left.get_mut(id) {
+            Some(left) if left.revision > revision => {}
+            Some(left) => (left.revision, left.gain) = (revision, gain),
+            None => _ = happened.left.insert(id.clone(), Left { revision, gain, is_unknown: false }),
+        }
+    }
+
+    /// Nobody knows what became of a request that would change the component.
+    pub(crate) fn unknown(&self, id: &ComponentId) {
+        let left = Left { revision: 0, gain: None, is_unknown: false };
+        self.0.lock().left.entry(id.clone()).or_insert(left).is_unknown = true;
+    }
+
+    /// Returns how a component differs from what the last accepted request has left.
+    pub(crate) fn differs(&self, id: &ComponentId, gain: Option<f64>) -> Option<String> {
+        let happened = self.0.lock();
+        let left = happened.left.get(id).filter(|left| !left.is_unknown)?;
+        let differs = left.gain != gain;
+        differs.then(|| format!("{id} has gain {gain:?}, and {left:?} was the last accepted"))
+    }
+
+    /// A manager was lost with decisions that were in memory alone.
+    pub(crate) fn forgets(&self) {
+        let mut happened = self.0.lock();
+        happened.accepted.clear();
+        happened.left.clear();
+        happened.is_blind = true;
+    }
+
+    /// Everything is at rest: what is open stays so, and components are as they are.
+    pub(crate) fn rests(&self) {
+        self.event(Kind::Rests, || "everything rests".into());
+        let mut happened = self.0.lock();
+        happened.left.retain(|_, left| !left.is_unknown);
+        happened.is_blind = false;
+        happened.starts.values_mut().for_each(|start| start.is_open = false);
+        while happened.starts.len() > 512 {
+            happened.starts.pop_first();
+        }
+    }
+}
+
+impl Happened {
+    fn violated(&mut self, what: String) {
+        self.violation.get_or_insert(what);
+    }
+}
+
+/// Returns the time at which the run began.
+fn began() -> tokio::time::Instant {
+    thread_local! {
+        static BEGAN: std::cell::OnceCell<tokio::time::Instant> = const { std::cell::OnceCell::new() };
+    }
+    BEGAN.with(|began| *began.get_or_init(tokio::time::Instant::now))
+}
