@@ -168,8 +168,8 @@ pub enum News {
     /// Warnings of the process itself; they replace the earlier ones.
     Warnings(Warnings),
     StoppedHere(StoppedHere),
-    /// A change was done after its orderer had given it up.
-    Late(Box<Change>, Report),
+    /// A change of that decision was done after its orderer had given it up.
+    Late(Box<Change>, Decision, Report),
 }
 
 /// State of the half of a connection to another process.

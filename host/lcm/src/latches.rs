@@ -70,7 +70,10 @@ impl Latches {
             Latch { here: 1.., .. } => {
                 Some("it was stopped at its process, and the GCM does not know it yet")
             }
-            latch if latch.decision > decision => Some("it was stopped while this was being carried out"),
+            // Of the same decision is the Stop of a Start that was given up.
+            latch if latch.decision >= decision && latch.decision != Decision::NONE => {
+                Some("it was stopped while this was being carried out")
+            }
             _ => None,
         })
     }

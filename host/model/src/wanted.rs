@@ -272,9 +272,10 @@ impl From<&Component> for WantedComponent {
 
 impl WantedComponent {
     /// Takes a component for decided as it is seen: of a process of which there is no earlier word.
-    pub fn seen(component: &Component, revision: u64, epoch: u64) -> WantedComponent {
+    /// `decision`: the last one that the process has seen, which what runs there has passed.
+    pub fn seen(component: &Component, revision: u64, decision: u64, epoch: u64) -> WantedComponent {
         let runs = component.state == State::Active;
-        let grant = runs.then_some(Grant { verb: Verb::Start, revision, decision: 0, epoch });
+        let grant = runs.then_some(Grant { verb: Verb::Start, revision, decision, epoch });
         WantedComponent { grant, ..WantedComponent::from(component) }
     }
 

@@ -90,6 +90,9 @@ impl<'a> Carrying<'a> {
                     if let Change::Run { id, from: State::Active, .. } = &change {
                         self.gcm.stop_late(id, self.claim.decision());
                     }
+                    if let Change::Run { id, to: State::Active, .. } = &change {
+                        self.gcm.stays_stopped(id, self.claim.decision());
+                    }
                     self.gcm.not_taken_back(&change, self.claim.decision());
                 }
             }
@@ -155,7 +158,7 @@ impl<'a> Carrying<'a> {
             Err(refusal @ Refusal::LcmTimeout { .. }) => {
                 // The start may still be done, late; no caller may be told that it failed and see the
                 // component move. The Stop is not waited for: the caller's time is over.
-                self.gcm.stop_late(id, self.claim.decision());
+                self.gcm.stop_late(id, decision);
                 Err(refusal)
             }
             done => done,

@@ -8,12 +8,13 @@ use std::sync::{Arc, Weak};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::sync::{mpsc, oneshot};
-use trocar_lcm_api::{HalfReport, Inventory, Lcm, News};
-use trocar_model::{ConnectionId, Name, SystemGraph};
+use trocar_lcm_api::{Decision, HalfReport, Inventory, Lcm, News, Report};
+use trocar_model::{Change, ComponentId, ConnectionId, Name, SystemGraph};
 
 use super::Gcm;
 use super::manager::Inner;
 use super::observed::{After, observe, stand_by};
+use super::reconcile::nameless;
 
 /// Follows the news of a session until it ends, and answers each question in `asked` when all present news
 /// has been entered.
@@ -98,12 +99,31 @@ impl Gcm {
                 let key = (ConnectionId(half.connection), half.end);
                 graph.proxies.extend(half.proxy.map(|proxy| (key, proxy)));
             }
-            loose.extend(components.iter().flat_map(|report| observe(graph, report)));
+            let mut sessions = self.inner.sessions.lock();
+            let newest: Vec<_> = components.iter().filter(|report| sessions.is_newest(report)).collect();
+            drop(sessions);
+            loose.extend(newest.into_iter().flat_map(|report| observe(graph, report)));
             if let Some(p) = graph.processes.get_mut(process) {
                 (p.classes, p.warnings) = (classes, warnings);
             }
         });
         self.heard_stop(process, stopped_here);
+        self.look_again(process, &components);
+    }
+
+    /// Has looked at again what a process has otherwise than is listed: what was done late may be among the
+    /// news that was lost.
+    fn look_again(&self, process: &Name, has: &[Report]) {
+        let graph = self.graph();
+        for report in has.iter().filter(|report| !graph.components.contains_key(&report.id)) {
+            let component = Box::new(nameless(report.state));
+            self.straighten(process, Change::Create { id: report.id.clone(), component }, Decision::NONE);
+        }
+        let lacks = |id: &ComponentId| !has.iter().any(|report| report.id == *id);
+        for (id, component) in graph.components.iter().filter(|(id, _)| id.process == *process && lacks(id)) {
+            let component = Box::new(component.clone());
+            self.straighten(process, Change::Destroy { id: id.clone(), component }, Decision::NONE);
+        }
     }
 }
 
@@ -130,9 +150,9 @@ fn enter(
     loose: &mut Vec<After>,
 ) -> bool {
     match news {
-        News::Late(change, report) => {
+        News::Late(change, decision, report) => {
             enter(gcm, graph, process, News::State(report), loose);
-            loose.push(After::Late(process.clone(), change));
+            loose.push(After::Late(process.clone(), change, decision));
         }
         News::State(report) => {
             let is_newest = gcm.inner.sessions.lock().is_newest(&report);

@@ -4,7 +4,7 @@
 //! Invariant: what a caller was told to have failed does not stay: it is taken back, and where that cannot be
 //! done the list and the record say how it stands.
 
-use trocar_lcm_api::clock;
+use trocar_lcm_api::{Decision, clock};
 use trocar_model::{
     Change, ComponentId, Connection, Entry, Name, Plan, Refusal, Request, State, SystemGraph, Verb, Which,
 };
@@ -14,20 +14,31 @@ use super::{Gcm, text};
 
 impl Gcm {
     /// Has the process be as was decided, whatever it has done late. Not waited for.
-    pub(super) fn straighten(&self, process: Name, change: Change) {
-        let Some(session) = self.inner.sessions.lock().holder(&process) else { return };
-        let gcm = self.clone();
+    pub(super) fn straighten(&self, process: &Name, change: Change, decision: Decision) {
+        let Some(session) = self.inner.sessions.lock().holder(process) else { return };
+        let asked = text::asked(&change);
+        log::warn!("{asked} was done in process {process} after it had been given up");
+        if let Change::Run { id, to: State::Active, .. } = &change {
+            // What moves waits for no request. The process knows what somebody has started since.
+            if self.granted_by(id).is_none() {
+                self.stop_late(id, decision);
+            }
+            return;
+        }
+        let (gcm, process) = (self.clone(), process.clone());
         tokio::spawn(async move {
-            let asked = text::asked(&change);
-            log::warn!("{asked} was done in process {process} after it had been given up");
             while gcm.hears(&process, session) {
                 match gcm.straight(&process, session, &change).await {
-                    Ok(()) => return,
+                    Ok(()) => break,
                     // It is looked at again, or comes anew with what it has.
                     Err(Refusal::Busy { .. } | Refusal::LcmTimeout { .. }) => {}
                     Err(Refusal::ProcessLost { .. }) => return,
                     Err(refusal) => return log::error!("{asked} cannot be taken back: {refusal}"),
                 }
+            }
+            if matches!(&change, Change::Disconnect { connection, .. } if !connection.is_near()) {
+                // Where it is still wanted, its half is made again.
+                gcm.link_missing(process).await;
             }
         });
     }
@@ -36,7 +47,10 @@ impl Gcm {
         let doing = format!("taking back {}, which was done late", text::asked(change));
         let by = (self.inner.claims.arrive(), clock::now() + self.inner.each_change);
         let claimed = self.claim_for(doing, &[about(change)], by, |_| Ok(Plan::default())).await;
-        let (claim, graph, _) = claimed?;
+        let (_claim, graph, _) = claimed?;
+        if !self.hears(process, session) {
+            return Err(Refusal::lost(process.clone()));
+        }
         let order = |change: Change| self.takes_back(process, session, change);
         match change {
             Change::Create { id, component } if !graph.components.contains_key(id) => {
@@ -53,16 +67,14 @@ impl Gcm {
                 let Some(component) = graph.components.get(id).filter(|c| c.config != *to) else {
                     return Ok(());
                 };
+                if matches!(component.state, State::Active | State::Fault) {
+                    // What moves is given no settings that nobody asked for; what has failed takes none.
+                    self.is_configured_so(id, to);
+                    return Ok(());
+                }
                 let (from, to) = (to.clone(), component.config.clone());
                 let (from_state, to_state) = (component.state, component.state);
                 order(Change::Configure { id: id.clone(), from, to, from_state, to_state }).await
-            }
-            Change::Run { id, to: State::Active, .. } => {
-                let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
-                if !self.inner.ledger.wanted().may_run(id, epoch) {
-                    self.stop_late(id, claim.decision());
-                }
-                Ok(())
             }
             Change::Run { id, verb, .. } => {
                 self.stands_late(id, *verb);
@@ -71,8 +83,11 @@ impl Gcm {
             Change::Connect { connection } if !has(&graph, connection) => {
                 order(Change::Disconnect { connection: connection.clone(), replaced: false }).await
             }
-            Change::Disconnect { connection, .. } if has(&graph, connection) => {
-                self.is_cut(connection);
+            Change::Disconnect { connection, .. } if connection.is_near() && has(&graph, connection) => {
+                let again = order(Change::Connect { connection: connection.clone() }).await;
+                if again.is_err() {
+                    self.is_cut(connection);
+                }
                 Ok(())
             }
             Change::Create { .. } | Change::Connect { .. } | Change::Disconnect { .. } => Ok(()),
@@ -88,7 +103,10 @@ impl Gcm {
                 Ok(())
             }
             Err(Refusal::ConnectionNotFound { .. } | Refusal::ComponentNotFound { .. }) => Ok(()),
-            Err(refusal) => Err(refusal),
+            Err(refusal) => {
+                self.not_amended(&change, &refusal);
+                Err(refusal)
+            }
         }
     }
 

@@ -3,7 +3,7 @@
 //! Invariant: after a report no connection of that component ends in a port it does not have or that does not
 //! fit any more; every connection that goes is logged and is a new revision.
 
-use trocar_lcm_api::{Report, clock};
+use trocar_lcm_api::{Decision, Report, clock};
 use trocar_model::{
     Change, Component, ComponentId, Connection, ConnectionId, Entry, Name, Refusal, State, StopReason,
     SystemGraph, Verb,
@@ -26,7 +26,7 @@ pub(crate) enum After {
     /// A component that ran was stopped by something else than a request, and stands so.
     Rests(ComponentId, State),
     /// A process has done a change that was given up.
-    Late(Name, Box<Change>),
+    Late(Name, Box<Change>, Decision),
 }
 
 impl After {
@@ -127,7 +127,7 @@ impl Gcm {
                     left.extend(is_left.then_some(connection));
                 }
                 After::Failed(component) => _ = self.enter(Entry::Failed { component }),
-                After::Late(process, change) => self.straighten(process, *change),
+                After::Late(process, change, decision) => self.straighten(&process, *change, decision),
                 // It goes on by another grant alone.
                 After::Rests(id, to) => {
                     let rest = Change::Run { id, verb: Verb::Stop, from: State::Active, to };

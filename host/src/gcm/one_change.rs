@@ -52,7 +52,8 @@ impl Gcm {
                 return Err(refusal);
             }
         };
-        let loose = self.done_in(process, session, change, &report)?;
+        let loose =
+            self.done_in(process, session, change, &report).inspect_err(|_| self.half_done(change))?;
         if let Change::Destroy { id, .. } = change {
             self.inner.holds.lock().removed(id);
         }
@@ -93,6 +94,13 @@ impl Gcm {
             }
         });
         if is_over { Err(Refusal::lost(process.clone())) } else { Ok(loose) }
+    }
+
+    /// Has both ends of a connection cut that one of them has forgotten.
+    fn half_done(&self, change: &Change) {
+        let Change::Connect { connection } = change else { return };
+        let ends = [&connection.client, &connection.server].map(|end| end.component.process.clone());
+        self.cut_strays(ends.into_iter().map(|process| (process, connection.clone())).collect());
     }
 
     /// Returns the sessions of the processes that a change of a connection concerns.

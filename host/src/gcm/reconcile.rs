@@ -126,8 +126,28 @@ impl Look<'_> {
     }
 }
 
+/// Returns the components that may run and stand still: what brought them to rest was never decided, and they
+/// go on by another grant alone. `is_whole`: nothing is made and started there again.
+pub(super) fn rests(
+    graph: &SystemGraph,
+    granted: &BTreeSet<ComponentId>,
+    has: &[Report],
+    is_whole: bool,
+) -> Vec<After> {
+    let moves = |id: &ComponentId| {
+        graph.components.get(id).is_some_and(|component| component.class.safety == Safety::Actuator)
+    };
+    let rests =
+        has.iter().filter(|report| granted.contains(&report.id)).filter(|report| match report.state {
+            State::Active | State::Fault => false,
+            State::Stopped(_) => true,
+            State::Created | State::Ready => is_whole || moves(&report.id),
+        });
+    rests.map(|report| After::Rests(report.id.clone(), report.state)).collect()
+}
+
 /// Stands for a component of which its name alone is known.
-fn nameless(state: State) -> Component {
+pub(super) fn nameless(state: State) -> Component {
     let class = ClassInfo {
         plugin: String::new(),
         version: String::new(),
@@ -213,6 +233,7 @@ impl Gcm {
             let (graph, granted) = (self.graph(), self.granted(process));
             let amends = Look { graph: &graph, then, process, slice: &slice, granted: &granted, connects }
                 .amends(&has);
+            self.cut_off(rests(&graph, &granted, &has, connects));
             if amends.is_empty() {
                 return Some(has);
             }
@@ -272,7 +293,7 @@ impl Gcm {
     }
 
     /// Decides that a component has the settings that it has.
-    fn is_configured_so(&self, id: &ComponentId, config: &serde_json::Value) {
+    pub(super) fn is_configured_so(&self, id: &ComponentId, config: &serde_json::Value) {
         self.decide(|revision| {
             let mut changes = Vec::new();
             self.edit(|graph| {
@@ -287,7 +308,7 @@ impl Gcm {
     }
 
     /// Shows beside a component that it is otherwise than is listed.
-    fn not_amended(&self, change: &Change, refusal: &Refusal) {
+    pub(super) fn not_amended(&self, change: &Change, refusal: &Refusal) {
         log::error!("{}: {refusal}", text::line(change));
         let id = super::changes::id_of(change);
         self.edit_if(|graph| {

@@ -123,12 +123,16 @@ impl Writer {
         mut bell: tokio::sync::mpsc::Receiver<()>,
         mut takes: impl FnMut() -> Duration,
     ) {
-        while bell.recv().await.is_some() {
+        let mut is_last = false;
+        while !is_last {
+            is_last = bell.recv().await.is_none();
             loop {
                 tokio::time::sleep(takes()).await;
                 match self.turn() {
                     Turn::Wrote => {}
                     Turn::Nothing => break,
+                    // More records do not make room in a store; the end does not wait for it.
+                    Turn::Failed if is_last || bell.is_closed() => return,
                     Turn::Failed => tokio::time::sleep(AGAIN).await,
                     Turn::Over => return,
                 }

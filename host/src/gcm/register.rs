@@ -6,17 +6,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use tokio::sync::{mpsc, oneshot};
-use trocar_lcm_api::{Inventory, Lcm, Report};
+use trocar_lcm_api::{Decision, Inventory, Lcm, Report};
 use trocar_links::Card;
 use trocar_model::{
     Change, Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process,
-    ProcessState, Refusal, Safety, State, SystemGraph, WantedComponent,
+    ProcessState, Refusal, State, SystemGraph, WantedComponent,
 };
 
 use super::Gcm;
 use super::follow::follow;
 use super::observed::{After, loosen, observe};
-use super::reconcile::differs;
+use super::reconcile::{differs, rests};
 use super::remote::settle;
 use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
 
@@ -38,7 +38,8 @@ impl Gcm {
         lcm: Arc<dyn Lcm>,
         inventory: Inventory,
     ) -> Result<Registered, Refusal> {
-        self.inner.claims.count_on(inventory.decision);
+        let seen = inventory.decision;
+        self.inner.claims.count_on(seen);
         let stopped_here = inventory.stopped_here.clone();
         // Before the inventory is entered, so that no news falls between.
         let news = lcm.news();
@@ -66,7 +67,7 @@ impl Gcm {
         let back_word = if back { "is back" } else { "registered" };
         log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
         if taken.is_brought && who.guest.is_empty() {
-            self.bring(&who.process);
+            self.bring(&who.process, seen);
         }
         self.join_wires(taken.joined);
         self.cut_off(taken.loose);
@@ -130,12 +131,13 @@ impl Gcm {
     }
 
     /// Puts on record what a process has brought along that was not on record.
-    fn bring(&self, process: &Name) {
+    fn bring(&self, process: &Name, decision: Decision) {
         self.inner.ledger.enter(|wanted| {
             let graph = self.graph();
             let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
             let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
-            let as_wanted = |component: &Component| WantedComponent::seen(component, graph.revision, epoch);
+            let as_wanted =
+                |component: &Component| WantedComponent::seen(component, graph.revision, decision.0, epoch);
             let components: Vec<_> = mine.map(|(id, c)| (id.clone(), as_wanted(c))).collect();
             let wires =
                 graph.connections.values().filter(|c| c.ends_in(process) && !graph.is_guests(&c.client));
@@ -292,7 +294,8 @@ fn take_in(
             as_on_record(sessions, graph, (who, claimed), may, &inventory, &mut taken);
         }
         Word::OfProcess => {
-            adopt(graph, who, &inventory);
+            let cut = adopt(graph, who, &inventory);
+            taken.strays.extend(cut.into_iter().map(|connection| (who.process.clone(), connection)));
             taken.is_brought = true;
             taken.owed = sessions.on_return.owed(graph, &who.process);
             sessions.on_return.here(&who.process, &taken.owed);
@@ -349,17 +352,8 @@ fn as_on_record(
     let runs = inventory.components.iter().filter(|report| report.state == State::Active);
     let unasked = runs.filter(|report| !may_run(&report.id));
     let unasked: Vec<_> = unasked.map(|report| (report.id.clone(), report.state)).collect();
-    // It was brought to rest by what was never decided, and moves by another grant alone.
-    let rests = |report: &&Report| {
-        let component = graph.components.get(&report.id);
-        let moves = component.is_some_and(|c| c.class.safety == Safety::Actuator);
-        let is_granted = granted.contains(&report.id) && !under_way.contains(&report.id);
-        // Of what is restored, that goes on which only stands ready and moves nothing.
-        let goes_on = (lacks || goes_on) && !moves && !matches!(report.state, State::Stopped(_));
-        is_granted && !matches!(report.state, State::Active | State::Fault) && !goes_on
-    };
-    let rest = inventory.components.iter().filter(rests);
-    taken.loose.extend(rest.map(|report| After::Rests(report.id.clone(), report.state)));
+    let settled = granted.difference(under_way).cloned().collect();
+    taken.loose.extend(rests(graph, &settled, &inventory.components, !lacks && !goes_on));
     if goes_on || lacks {
         sessions.on_return.begin(&who.process);
         taken.gets_back = Some(already(graph, who, inventory, &mut taken.loose));
@@ -406,8 +400,10 @@ fn already(
 }
 
 /// Enters the components and connections of a process of which there is no earlier word: those it was told to
-/// have, as far as it still has them. [`settle`] handles the connections to other processes.
-fn adopt(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) {
+/// have, as far as it still has them. Returns the connections that it has to give up. [`settle`] handles
+/// those to other processes.
+fn adopt(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> Vec<Connection> {
+    let mut cut = Vec::new();
     let Slice { mut components, mut connections } = who.slice.clone();
     let mine = |c: &Connection| c.is_near() && c.ends_in(&who.process);
     graph.components.retain(|id, _| id.process != who.process);
@@ -436,8 +432,10 @@ fn adopt(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) {
                 connection.client,
                 connection.server
             );
+            cut.push(connection);
             continue;
         }
         graph.connections.insert(connection.id, connection);
     }
+    cut
 }

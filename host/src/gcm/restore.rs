@@ -107,10 +107,10 @@ impl Gcm {
         }
         // What goes on by itself is of no later decision than before.
         let starts = made.iter().find(|change| matches!(change, Change::Run { to: State::Active, .. }));
-        let since = starts.map_or(back.since, |start| back.granted(id_of(start)));
+        let decision = starts.map_or(back.since, |start| back.granted(id_of(start))).0;
         self.inner.ledger.enter(|_| {
-            let (revision, decision) = (self.graph().revision, since.0);
-            let changes = self.on_record(&made, since);
+            let revision = self.graph().revision;
+            let changes = self.on_record(&made, back.since);
             (Entry::Changed { revision, decision, changes }, None)
         });
     }

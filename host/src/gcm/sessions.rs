@@ -198,13 +198,11 @@ impl Sessions {
 
     /// Takes the Stops that a process, which is back as it was, could not be told.
     pub(super) fn take_untold(&mut self, process: &Name) -> Option<Untold> {
-        self.unanswered.retain(|id| id.process != *process);
         self.untold.remove(process)
     }
 
     /// Another incarnation of the process moves nothing by itself.
     pub(super) fn forgets(&mut self, process: &Name) {
-        self.unanswered.retain(|id| id.process != *process);
         self.untold.remove(process);
     }
 
@@ -332,6 +330,10 @@ impl Sessions {
             who.process.clone(),
             Session { number: session, stopped_here: 0, pid: who.pid, lcm, asks, card },
         );
+        // What was ordered before is over: it comes with what became of that. Until that is entered nobody
+        // knows how it stands.
+        self.unanswered.retain(|id| id.process != who.process);
+        self.entered.remove(&who.process);
         self.dismissed.remove(&who.process);
         self.ended.remove(&who.process);
         self.last.insert(who.process.clone(), (who.instance, epoch));

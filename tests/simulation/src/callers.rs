@@ -102,14 +102,36 @@ async fn answered(
         Ok(done) => accepted(world, &asked, done),
         // It was taken back, or is, as far as that can be done.
         Err(Refusal::Internal { text }) => truth.violated(format!("{:?}: {text}", asked.requests)),
-        Err(_) => nobody_knows(truth, &asked),
+        Err(refusal) => {
+            if let ([Request::Stop { targets }], false) = (asked.requests.as_slice(), is_not_told(refusal)) {
+                truth.stopped(asked.event, targets.clone(), BTreeSet::new(), BTreeSet::new());
+            }
+            if has_begun(&asked.requests, refusal) {
+                nobody_knows(truth, &asked);
+            }
+        }
     }
+}
+
+/// Tells whether something may have been done of a request that was refused so.
+fn has_begun(requests: &[Request], refusal: &Refusal) -> bool {
+    match refusal {
+        Refusal::Busy { .. } | Refusal::RevisionConflict { .. } => false,
+        Refusal::ComponentNotFound { .. } | Refusal::ComponentExists { .. } => requests.len() > 1,
+        _ => true,
+    }
+}
+
+/// Tells whether a Stop that failed so may have left something moving.
+fn is_not_told(refusal: &Refusal) -> bool {
+    matches!(refusal.reason(), "STOP_NOT_TOLD" | "LCM_TIMEOUT" | "PROCESS_LOST")
 }
 
 fn accepted(world: &World, asked: &Asked, done: &Executed) {
     let truth = &world.truth;
     if let [Request::Stop { targets }] = asked.requests.as_slice() {
-        let failed = done.failed.iter().flat_map(|(target, _)| match target {
+        let failed = done.failed.iter().filter(|(_, refusal)| is_not_told(refusal));
+        let failed = failed.flat_map(|(target, _)| match target {
             Target::One(id) => Some(id.clone()),
             Target::Glob(_) => None,
         });
@@ -132,12 +154,12 @@ fn accepted(world: &World, asked: &Asked, done: &Executed) {
     let mut seen = BTreeSet::new();
     for change in done.plan.changes.iter().rev() {
         match change {
-            Change::Destroy { id, .. } if seen.insert(id) => truth.left(id, done.revision, None),
+            Change::Destroy { id, .. } if seen.insert(id) => truth.left(id, asked.event, done.revision, None),
             Change::Create { id, component } if seen.insert(id) => {
-                truth.left(id, done.revision, component.config["gain"].as_f64());
+                truth.left(id, asked.event, done.revision, component.config["gain"].as_f64());
             }
             Change::Configure { id, to, .. } if seen.insert(id) => {
-                truth.left(id, done.revision, to["gain"].as_f64());
+                truth.left(id, asked.event, done.revision, to["gain"].as_f64());
             }
             _ => {}
         }

@@ -15,6 +15,7 @@ mod truth;
 mod world;
 
 use chance::Chance;
+use parking_lot::Mutex;
 pub use truth::Ended;
 use truth::Truth;
 use world::World;
@@ -24,6 +25,11 @@ use world::World;
 /// # Panics
 /// The machine gives no thread.
 pub fn run(seed: u64, events: u64, is_told: bool) -> Ended {
+    // Also of tasks that nobody waits for.
+    std::panic::set_hook(Box::new(|why| {
+        eprintln!("{why}");
+        PANICKED.lock().get_or_insert(why.to_string());
+    }));
     let work = move || {
         // Before anything is drawn on this thread.
         chance::seed(seed);
@@ -34,8 +40,10 @@ pub fn run(seed: u64, events: u64, is_told: bool) -> Ended {
         truth.ended()
     };
     let ended = std::thread::Builder::new().spawn(work).expect("a thread").join();
-    ended.unwrap_or_else(|panic| {
-        let said = panic.downcast_ref::<String>().cloned().unwrap_or_else(|| "a panic".to_owned());
-        Ended { events: 0, hash: 0, violation: Some(said) }
-    })
+    let mut ended = ended.unwrap_or(Ended { events: 0, hash: 0, violation: None });
+    ended.violation = ended.violation.or_else(|| PANICKED.lock().take());
+    ended
 }
+
+/// The first panic.
+static PANICKED: Mutex<Option<String>> = Mutex::new(None);

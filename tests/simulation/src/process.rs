@@ -14,7 +14,7 @@ use tokio::sync::{OwnedMutexGuard, broadcast, mpsc, watch};
 use trocar::gcm::plan_lines;
 use trocar_lcm_api::{
     Decision, Detail, HalfReport, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo,
-    RemoteEnd, Reply, Report, Sample, Selection, Stop, When, clock,
+    RemoteEnd, Reply, Report, Sample, Selection, Stop, When,
 };
 use trocar_links::{Card, LAYOUT};
 use trocar_model::{
@@ -181,10 +181,6 @@ impl ModelLcm {
     /// # Errors
     /// It is not done in time, nobody waits for it any more, or the process has ended.
     async fn works(&self, order: &Order) -> Result<(), Refusal> {
-        // Of an order that comes late nothing is done.
-        if order.deadline <= clock::now() {
-            return Err(self.late("it"));
-        }
         let takes = self.chance.takes();
         let mut alive = self.alive.subscribe();
         if !takes.is_zero() {

@@ -91,8 +91,8 @@ struct Left {
     revision: u64,
     /// Its setting; `None`: it is removed.
     gain: Option<f64>,
-    /// Something was asked of it whose result nobody knows.
-    is_unknown: bool,
+    /// Event until which something was under way whose result nobody knows.
+    unknown: Option<u64>,
 }
 
 /// End of a run.
@@ -114,7 +114,7 @@ impl Truth {
         let mut happened = self.0.lock();
         happened.events += 1;
         let mut hasher = DefaultHasher::new();
-        (happened.hash, kind, happened.events).hash(&mut hasher);
+        (happened.hash, kind, began().elapsed()).hash(&mut hasher);
         happened.hash = hasher.finish();
         if happened.is_told && happened.violation.is_none() {
             let ms = began().elapsed().as_secs_f64() * 1e3;
@@ -166,7 +166,8 @@ impl Truth {
         let mut happened = self.0.lock();
         let mut speaks_of = told;
         if !happened.is_blind {
-            let there = happened.left.iter().filter(|(_, left)| left.gain.is_some() && !left.is_unknown);
+            let there =
+                happened.left.iter().filter(|(_, left)| left.gain.is_some() && left.unknown.is_none());
             speaks_of.extend(there.map(|(id, _)| id.clone()));
         }
         let (answered, is_recorded) =
@@ -246,25 +247,32 @@ impl Truth {
     }
 
     /// A component is left so by the accepted request of that revision.
-    pub(crate) fn left(&self, id: &ComponentId, revision: u64, gain: Option<f64>) {
+    /// `asked`: event at which that was asked.
+    pub(crate) fn left(&self, id: &ComponentId, asked: u64, revision: u64, gain: Option<f64>) {
         let mut happened = self.0.lock();
         match happened.left.get_mut(id) {
             Some(left) if left.revision > revision => {}
-            Some(left) => (left.revision, left.gain) = (revision, gain),
-            None => _ = happened.left.insert(id.clone(), Left { revision, gain, is_unknown: false }),
+            Some(left) => {
+                (left.revision, left.gain) = (revision, gain);
+                // Whatever was under way before it was asked.
+                left.unknown.take_if(|until| asked > *until);
+            }
+            None => _ = happened.left.insert(id.clone(), Left { revision, gain, unknown: None }),
         }
     }
 
     /// Nobody knows what became of a request that would change the component.
     pub(crate) fn unknown(&self, id: &ComponentId) {
-        let left = Left { revision: 0, gain: None, is_unknown: false };
-        self.0.lock().left.entry(id.clone()).or_insert(left).is_unknown = true;
+        let mut happened = self.0.lock();
+        let now = happened.events;
+        let left = Left { revision: 0, gain: None, unknown: None };
+        happened.left.entry(id.clone()).or_insert(left).unknown = Some(now);
     }
 
     /// Returns how a component differs from what the last accepted request has left.
     pub(crate) fn differs(&self, id: &ComponentId, gain: Option<f64>) -> Option<String> {
         let happened = self.0.lock();
-        let left = happened.left.get(id).filter(|left| !left.is_unknown)?;
+        let left = happened.left.get(id).filter(|left| left.unknown.is_none())?;
         let differs = left.gain != gain;
         differs.then(|| format!("{id} has gain {gain:?}, and {left:?} was the last accepted"))
     }
@@ -281,7 +289,7 @@ impl Truth {
     pub(crate) fn rests(&self) {
         self.event(Kind::Rests, || "everything rests".into());
         let mut happened = self.0.lock();
-        happened.left.retain(|_, left| !left.is_unknown);
+        happened.left.retain(|_, left| left.unknown.is_none());
         happened.is_blind = false;
         happened.starts.values_mut().for_each(|start| start.is_open = false);
         while happened.starts.len() > 512 {

@@ -45,6 +45,28 @@ pub(crate) struct World {
     /// Incarnations so far.
     incarnations: Mutex<u64>,
     is_to_rest: watch::Sender<bool>,
+    pace: Pace,
+}
+
+/// How often things fail in a run, each of them for itself.
+struct Pace {
+    /// Longest time until the manager may be killed, a process may end, a network or the disk may fail, ms.
+    manager: u64,
+    processes: u64,
+    network: u64,
+    disk: u64,
+}
+
+impl Pace {
+    fn of(chance: &Chance) -> Pace {
+        let most = |often: u64, seldom: u64| *chance.one_of(&[often, seldom, seldom, 20 * seldom]);
+        Pace {
+            manager: most(3_000, 20_000),
+            processes: most(1_000, 15_000),
+            network: most(2_000, 20_000),
+            disk: most(10_000, 60_000),
+        }
+    }
 }
 
 /// A manager that runs.
@@ -74,6 +96,7 @@ impl World {
             processes: Mutex::default(),
             incarnations: Mutex::default(),
             is_to_rest: watch::Sender::new(false),
+            pace: Pace::of(&chance),
             chance,
             truth,
         })
@@ -135,7 +158,7 @@ impl World {
     async fn manages(self: Arc<World>) {
         while !self.is_to_rest() {
             self.begins().await;
-            self.waits((500, 20_000)).await;
+            self.waits((500, self.pace.manager)).await;
             if !self.is_to_rest() && self.chance.once_in(2) {
                 self.ends();
                 self.waits((0, 3_000)).await;
@@ -174,7 +197,7 @@ impl World {
 
     async fn fills(self: Arc<World>) {
         while !self.is_to_rest() {
-            self.waits((5_000, 60_000)).await;
+            self.waits((2_000, self.pace.disk)).await;
             if self.is_to_rest() || !self.chance.once_in(2) {
                 continue;
             }
@@ -197,7 +220,7 @@ impl World {
             if self.is_to_rest() {
                 return;
             }
-            self.waits((500, 15_000)).await;
+            self.waits((200, self.pace.processes)).await;
             if self.is_to_rest() {
                 return;
             }
@@ -280,7 +303,7 @@ impl World {
     /// Holds the messages of a process up now and then.
     async fn cuts(self: Arc<World>, name: Name) {
         while !self.is_to_rest() {
-            self.waits((1_000, 20_000)).await;
+            self.waits((300, self.pace.network)).await;
             if self.is_to_rest() || !self.chance.once_in(2) {
                 continue;
             }

@@ -55,7 +55,7 @@ enum Waiting {
     Answer(oneshot::Sender<A>, Option<Feed>),
     Feed(Feed),
     /// A change whose caller has given it up.
-    Late(Change),
+    Late(Change, Decision),
 }
 
 /// A subscription.
@@ -72,6 +72,7 @@ struct Forget<'a> {
     lcm: &'a RemoteLcm,
     id: u64,
     change: Option<&'a Change>,
+    decision: Decision,
     is_sent: bool,
 }
 
@@ -83,7 +84,7 @@ impl Drop for Forget<'_> {
             link.waiting.remove(&self.id);
             // The process answers each order that it gets, if only with a refusal.
             if let Some(change) = self.change.filter(|_| self.is_sent) {
-                link.waiting.insert(self.id, Waiting::Late(change.clone()));
+                link.waiting.insert(self.id, Waiting::Late(change.clone(), self.decision));
             }
         }
     }
@@ -146,13 +147,13 @@ impl RemoteLcm {
                 let _ = tell.send(what);
             }
             (_, Some(Waiting::Feed(feed))) => feed.end(),
-            (A::Report(report), Some(Waiting::Late(change))) => match convert::report_in(report) {
+            (A::Report(report), Some(Waiting::Late(change, decision))) => match convert::report_in(report) {
                 // The GCM that listens may just be letting go.
-                Ok(report) => _ = link.news.send(News::Late(Box::new(change), report)),
+                Ok(report) => _ = link.news.send(News::Late(Box::new(change), decision, report)),
                 Err(refusal) => log::warn!("an answer of process {} cannot be read: {refusal}", self.process),
             },
             // It was not done.
-            (_, Some(Waiting::Late(_))) => {}
+            (_, Some(Waiting::Late(..))) => {}
             // No caller waits for it any more.
             (_, None) => {}
         }
@@ -185,7 +186,7 @@ impl RemoteLcm {
             link.waiting.insert(id, Waiting::Answer(tell, feed));
             link.out.clone()
         };
-        let mut forget = Forget { lcm: self, id, change, is_sent: false };
+        let mut forget = Forget { lcm: self, id, change, decision, is_sent: false };
         let left = deadline.saturating_duration_since(clock::now()).saturating_sub(WAY);
         let deadline_ns = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
         let Decision(decision) = decision;

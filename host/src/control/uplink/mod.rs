@@ -16,11 +16,13 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::{RwLock, oneshot};
 use tokio::task::JoinHandle;
 use trocar_lcm_api::clock;
 use trocar_model::Refusal;
 
+use self::lateness::Lateness;
 use self::orders::Told;
 use self::session::Session;
 use self::way::Grpc;
@@ -102,7 +104,8 @@ impl Uplink {
         lcm: Arc<dyn Lcm>,
         begin: Begin,
     ) -> Result<Uplink, UplinkError> {
-        let mut tie = Tie { way, addr, registration, lcm, told: Arc::default(), quiet: Arc::default() };
+        let (told, quiet, lateness) = (Arc::default(), Arc::default(), Arc::default());
+        let mut tie = Tie { way, addr, registration, lcm, told, quiet, lateness };
         let session = match begin {
             Begin::AtOnce => tie.attempt().await?,
             Begin::Patient => tie.attempts().await?,
@@ -146,6 +149,7 @@ struct Tie<W> {
     told: Told,
     /// Held for reading while a change is remembered, or taken back, and while something is taken away.
     quiet: Arc<RwLock<()>>,
+    lateness: Arc<Mutex<Lateness>>,
 }
 
 impl<W: Way> Tie<W> {
@@ -209,7 +213,8 @@ impl<W: Way> Tie<W> {
         // A change that is just being remembered is in the slice.
         let _quiet = self.quiet.write().await;
         let registration = Registration { slice: self.slice(), ..self.registration.clone() };
-        Session::open(line, registration, self.lcm.clone(), self.told.clone(), self.quiet.clone()).await
+        let memory = (self.told.clone(), self.quiet.clone());
+        Session::open(line, registration, self.lcm.clone(), memory, self.lateness.clone()).await
     }
 
     fn slice(&self) -> Slice {

@@ -4,8 +4,9 @@
 //! newer one; no order begins after the GCM has given this session up.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use parking_lot::Mutex;
 use tokio::sync::{RwLock, broadcast, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
@@ -31,10 +32,10 @@ pub(super) struct Session {
     inbound: Inbound,
     out: Outgoing,
     orders: Orders,
-    /// Orders that came before Registered.
-    early: Vec<v1::Order>,
+    /// Orders that came before Registered, with their stamps.
+    early: Vec<(v1::Order, u64)>,
     tasks: JoinSet<()>,
-    lateness: Lateness,
+    lateness: Arc<Mutex<Lateness>>,
     /// When the GCM was heard last; what it ordered is taken back when this is dropped.
     heard: watch::Sender<Instant>,
     /// The GCM's number for this incarnation of the process.
@@ -48,8 +49,8 @@ impl Session {
         line: impl Line,
         who: Registration,
         lcm: Arc<dyn Lcm>,
-        told: Told,
-        quiet: Arc<RwLock<()>>,
+        (told, quiet): (Told, Arc<RwLock<()>>),
+        lateness: Arc<Mutex<Lateness>>,
     ) -> Result<Session, Refused> {
         // Subscribes before the inventory is taken, so that no news falls between.
         let news = lcm.news();
@@ -72,12 +73,17 @@ impl Session {
         let mut early = Vec::new();
         let v1::Registered { epoch, revision, .. } = loop {
             let said = inbound.next().await.transpose().map_err(|e| unheard(e.message()))?;
+            let sent_ns = said.as_ref().map_or(0, |said| said.sent_ns);
             match said.and_then(|said| said.message) {
-                Some(attach_response::Message::Registered(r)) => break r,
+                Some(attach_response::Message::Registered(r)) => {
+                    // By this those are judged that lay here before.
+                    lateness.lock().begin(r.term, sent_ns);
+                    break r;
+                }
                 Some(attach_response::Message::Refused(info)) => {
                     return Err(Refused::ByGcm(convert::refusal(&info)));
                 }
-                Some(attach_response::Message::Order(order)) => early.push(order),
+                Some(attach_response::Message::Order(order)) => early.push((order, sent_ns)),
                 Some(attach_response::Message::Heartbeat(_)) => {}
                 None => return Err(unheard("the stream ended before the process was registered")),
             }
@@ -90,14 +96,14 @@ impl Session {
         let lease = Lease::new(lease, BEAT * (LEASE + 1));
         let orders = Orders::new(lcm, told, quiet, answer, lease);
         let revision = who.revision.max(revision);
-        let lateness = Lateness::new();
         Ok(Session { inbound, out, orders, early, tasks, lateness, heard, epoch, revision })
     }
 
     /// Carries out the GCM's orders until the GCM is lost; returns the reason.
     pub(super) async fn serve(&mut self) -> String {
-        for order in std::mem::take(&mut self.early) {
-            self.orders.carry_out(order, Duration::ZERO).await;
+        for (order, sent_ns) in std::mem::take(&mut self.early) {
+            let lateness = self.lateness.lock().of(sent_ns);
+            self.orders.carry_out(order, lateness).await;
         }
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -123,7 +129,7 @@ impl Session {
                     }
                     silent = 0;
                     self.heard.send_replace(clock::now());
-                    let lateness = self.lateness.of(said.sent_ns);
+                    let lateness = self.lateness.lock().of(said.sent_ns);
                     match said.message {
                         Some(attach_response::Message::Order(order)) => {
                             self.orders.carry_out(order, lateness).await;
@@ -202,7 +208,7 @@ async fn waiting(lcm: &Arc<dyn Lcm>, news: &mut broadcast::Receiver<News>) -> Op
 fn news_out(next: News) -> v1::AttachRequest {
     let next = match next {
         // An LCM of this process answers late itself.
-        News::State(report) | News::Late(_, report) => news::News::State(convert::report(&report)),
+        News::State(report) | News::Late(_, _, report) => news::News::State(convert::report(&report)),
         News::Catalog(classes) => {
             news::News::Catalog(v1::Catalog { classes: classes.iter().map(|c| convert::class(c)).collect() })
         }

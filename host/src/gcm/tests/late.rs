@@ -3,7 +3,7 @@
 //! Promise: what a caller was told to have failed does not stay, and what is gone is not listed.
 
 use serde_json::json;
-use trocar_lcm_api::{Lcm, News, clock};
+use trocar_lcm_api::{Decision, Lcm, News, clock};
 use trocar_model::{Change, ConnectOptions, PortId, plan};
 
 use super::*;
@@ -20,7 +20,7 @@ fn configure(path: &str) -> Request {
 /// A change that the process does and tells too late.
 async fn late(lcm: &FakeLcm, change: Change) {
     let done = lcm.apply(change.clone(), clock::now().into()).await.unwrap();
-    lcm.news.send(News::Late(Box::new(change), done)).unwrap();
+    lcm.news.send(News::Late(Box::new(change), Decision::NONE, done)).unwrap();
 }
 
 fn planned(gcm: &Gcm, request: &Request) -> Change {
