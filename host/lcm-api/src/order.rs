@@ -20,6 +20,12 @@ impl Decision {
     pub const HERE: Decision = Decision(u64::MAX);
     /// The greatest that a GCM gives.
     pub const MOST: Decision = Decision(1 << 62);
+
+    /// Returns the one before the first of a GCM of that term. It is later than all of the GCMs before, also
+    /// than those that were never on record.
+    pub fn before(term: u64) -> Decision {
+        Decision(term.saturating_mul(1 << 30)).min(Decision::MOST)
+    }
 }
 
 /// The ground of an order.

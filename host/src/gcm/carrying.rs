@@ -313,10 +313,12 @@ impl Gcm {
     pub(super) async fn claim_part<P: Into<Planned>>(
         &self,
         requests: &[Request],
+        expects: Option<u64>,
         by: (Decision, Instant),
         plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
-        self.claim_for(text::requested(requests), requests, by, plan).await
+        let named = Part::named(&self.graph(), requests).expecting(expects);
+        self.claim_named((named, text::requested(requests)), by, plan).await
     }
 
     /// Claims the part of these requests, for something that is no request: `doing` names it.
@@ -330,12 +332,20 @@ impl Gcm {
         by: (Decision, Instant),
         plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
     ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
-        let named = Part::named(&self.graph(), requests);
+        self.claim_named((Part::named(&self.graph(), requests), doing), by, plan).await
+    }
+
+    async fn claim_named<P: Into<Planned>>(
+        &self,
+        named: (Part, String),
+        by: (Decision, Instant),
+        plan: impl Fn(&SystemGraph) -> Result<P, Refusal>,
+    ) -> Result<(Claim<'_>, Arc<SystemGraph>, Plan), Refusal> {
         let now = move || {
             let graph = self.graph();
             plan(&graph).map(|plan| (graph, plan.into()))
         };
-        self.inner.claims.claim((named, doing), by, now).await
+        self.inner.claims.claim(named, by, now).await
     }
 }
 

@@ -16,11 +16,14 @@ use trocar_model::{
 };
 
 use super::changes::id_of;
+use super::ledger::wall_ns;
 
 /// Most Stops that are told apart.
 const MOST_STOPS: usize = 1024;
 /// No GCM has decided so much more than the one after it.
 const AHEAD: u64 = 1 << 32;
+/// Time by which clocks may differ, s.
+const DAY_S: u64 = 86_400;
 
 /// Part of the system that a request touches.
 #[derive(Clone, Debug, Default)]
@@ -30,6 +33,8 @@ pub(super) struct Part {
     globs: Vec<Pattern>,
     /// Makes connections or shares threads: whether that closes a circle depends on all others.
     wires: bool,
+    /// Revision that it expects: of several that expect the same, one passes.
+    expects: Option<u64>,
 }
 
 impl Part {
@@ -77,6 +82,11 @@ impl Part {
         part
     }
 
+    /// Returns it as the part of requests that expect this revision.
+    pub(super) fn expecting(self, expects: Option<u64>) -> Part {
+        Part { expects, ..self }
+    }
+
     /// Adds what their plan touches besides; the globs are resolved when the whole is planned.
     fn planned(mut self, plan: &Plan, is_whole: bool) -> Part {
         if is_whole {
@@ -117,6 +127,7 @@ impl Part {
             globs.iter().any(|glob| ids.iter().any(|id| glob.matches(id)))
         };
         self.wires && other.wires
+            || self.expects.is_some() && self.expects == other.expects
             || !self.ids.is_disjoint(&other.ids)
             || !self.globs.is_empty() && !other.globs.is_empty()
             || matched(&self.globs, &other.ids)
@@ -240,7 +251,9 @@ impl Claims {
     /// come to is not taken, since numbers do not come back.
     pub(super) fn count_on(&self, seen: Decision) {
         let mut list = self.list.lock();
-        if seen.0.saturating_sub(list.last) <= AHEAD {
+        // Terms go on from the time of day at most.
+        let by_tomorrow = Decision::before(wall_ns() / 1_000_000_000 + DAY_S).0;
+        if seen.0 <= by_tomorrow.max(list.last.saturating_add(AHEAD)) {
             list.last = list.last.max(seen.0);
         } else {
             log::warn!("a process says that it has seen decision {}, which nobody has come to", seen.0);

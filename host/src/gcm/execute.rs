@@ -156,7 +156,8 @@ impl Gcm {
             self.can_be_made(&isolated)?;
             Ok(Planned { plan, is_whole: first == requests.len() })
         };
-        let (claim, graph, plan) = match self.claim_part(requests, (since, deadline), decide).await {
+        let expects = options.expected_revision.filter(|_| !options.validate_only);
+        let (claim, graph, plan) = match self.claim_part(requests, expects, (since, deadline), decide).await {
             // The component went with the request that had made it.
             Err(Refusal::ComponentNotFound { id, .. }) if forced == Some(&id) => {
                 return Ok((Executed { revision: self.graph().revision, ..Executed::default() }, None));

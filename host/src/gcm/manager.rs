@@ -53,7 +53,7 @@ impl Gcm {
     pub(super) fn new(ids: Ids, each_change: Duration, past: &Past, bell: Option<Bell>) -> Gcm {
         let (wanted, answers) = (past.wanted.clone(), past.answers.clone());
         let (graph, claims) = (wanted.unseen(), Claims::default());
-        claims.count_from(Decision(wanted.decision));
+        claims.count_from(Decision(wanted.decision).max(Decision::before(ids.term())));
         let inner = Inner {
             each_change,
             graph: watch::channel(Arc::new(graph)).0,

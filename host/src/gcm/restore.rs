@@ -41,8 +41,9 @@ struct Back {
 }
 
 impl Back {
+    /// Returns the decision by which a component goes on: without a grant each Stop is later.
     fn granted(&self, id: &ComponentId) -> Decision {
-        self.grants.get(id).copied().unwrap_or(self.since)
+        self.grants.get(id).copied().unwrap_or(Decision::NONE)
     }
 }
 
@@ -107,7 +108,8 @@ impl Gcm {
         }
         // What goes on by itself is of no later decision than before.
         let starts = made.iter().find(|change| matches!(change, Change::Run { to: State::Active, .. }));
-        let decision = starts.map_or(back.since, |start| back.granted(id_of(start))).0;
+        let granted = starts.and_then(|start| back.grants.get(id_of(start)).copied());
+        let decision = granted.unwrap_or(back.since).0;
         self.inner.ledger.enter(|_| {
             let revision = self.graph().revision;
             let changes = self.on_record(&made, back.since);

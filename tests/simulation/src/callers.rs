@@ -46,7 +46,7 @@ pub(crate) async fn ask(world: Arc<World>) {
         let options = ExecuteOptions {
             validate_only: chance.once_in(30),
             request_id,
-            expected_revision: chance.once_in(15).then(|| gcm.graph().revision),
+            expected_revision: chance.once_in(8).then(|| gcm.graph().revision),
             deadline: Some(clock::now() + within),
             identity: "caller".into(),
         };
@@ -95,7 +95,12 @@ async fn answered(
         return;
     }
     // What was ordered when a process was lost is given up by it with its lease, and taken back.
-    if !matches!(answer, Err(Refusal::ProcessLost { .. })) {
+    let is_open = match answer {
+        Err(Refusal::ProcessLost { .. }) => true,
+        Err(Refusal::LcmTimeout { .. }) => world.is_new(),
+        _ => false,
+    };
+    if !is_open {
         truth.start_answered(asked.event);
     }
     match &answer {
@@ -149,7 +154,7 @@ fn accepted(world: &World, asked: &Asked, done: &Executed) {
     // The answer to a request with an id may be an earlier one.
     if asked.options.request_id.is_empty() {
         let what = format!("the request of event {}", asked.event);
-        truth.accepted(done.revision, &what, world.is_on_record());
+        truth.accepted(done.revision, asked.options.expected_revision, &what, world.is_on_record());
     }
     let mut seen = BTreeSet::new();
     for change in done.plan.changes.iter().rev() {

@@ -48,6 +48,8 @@ struct Happened {
     recorded_stops: BTreeMap<Vec<Target>, u64>,
     /// Revisions that are on record.
     recorded: BTreeSet<u64>,
+    /// Revisions that accepted changes expected.
+    expected: BTreeMap<u64, String>,
     /// Revisions of accepted changes.
     accepted: BTreeMap<u64, String>,
     /// A manager was lost with decisions that were in memory alone: until the next rest the one after it does
@@ -235,8 +237,13 @@ impl Truth {
     }
 
     /// A request that changes something was accepted. `on_record`: its record is to be on the disk.
-    pub(crate) fn accepted(&self, revision: u64, what: &str, on_record: bool) {
+    /// `expected`: revision that it was to be asked at.
+    pub(crate) fn accepted(&self, revision: u64, expected: Option<u64>, what: &str, on_record: bool) {
         let mut happened = self.0.lock();
+        let first = expected.and_then(|expected| happened.expected.insert(expected, what.to_owned()));
+        if let Some(first) = first {
+            happened.violated(format!("{what} and {first} have both passed at revision {expected:?}"));
+        }
         if on_record && !happened.recorded.contains(&revision) {
             happened
                 .violated(format!("{what} was answered with revision {revision}, which is not on record"));
@@ -281,6 +288,7 @@ impl Truth {
     pub(crate) fn forgets(&self) {
         let mut happened = self.0.lock();
         happened.accepted.clear();
+        happened.expected.clear();
         happened.left.clear();
         happened.is_blind = true;
     }

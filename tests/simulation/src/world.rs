@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 use serde_json::json;
@@ -27,6 +27,8 @@ use crate::truth::{Kind, Truth};
 
 /// Callers at once.
 const CALLERS: usize = 4;
+/// Time in which a manager is new.
+const NEW: Duration = Duration::from_secs(5);
 /// Longest time until everything is at rest once nothing fails any more.
 const REST: Duration = Duration::from_secs(150);
 
@@ -75,6 +77,7 @@ struct Manager {
     /// The requests that it carries out.
     tasks: Arc<Mutex<JoinSet<Answer>>>,
     _open: watch::Sender<()>,
+    began: Instant,
 }
 
 /// A process that runs.
@@ -152,6 +155,12 @@ impl World {
         manager.as_ref().is_some_and(|manager| *manager.gcm.journal().borrow() == Standing::Written)
     }
 
+    /// Tells whether processes may not know yet how late the messages of the manager are: it has just begun,
+    /// and all that came of it was late.
+    pub(crate) fn is_new(&self) -> bool {
+        self.manager.lock().as_ref().is_none_or(|manager| clock::since(manager.began) < NEW)
+    }
+
     // -- the manager ---------------------------------------------------------------------------------------
 
     /// Kills the manager now and then, and starts it again.
@@ -178,7 +187,8 @@ impl World {
             Ok(gcm) => {
                 self.truth.event(Kind::Began, || format!("a manager, term {}", gcm.term()));
                 let open = self.network.open(&gcm);
-                *self.manager.lock() = Some(Manager { gcm, tasks: Arc::default(), _open: open });
+                *self.manager.lock() =
+                    Some(Manager { gcm, tasks: Arc::default(), _open: open, began: clock::now() });
             }
             Err(e) => self.truth.violated(format!("the manager does not start: {e}")),
         }

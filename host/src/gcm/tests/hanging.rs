@@ -119,3 +119,29 @@ async fn a_forced_remove_of_what_its_maker_takes_back_is_done_with_it() {
     hung.await.unwrap().unwrap_err();
     assert_eq!((gcm.graph().components.len(), lcm.state("host/a")), (0, None));
 }
+
+#[tokio::test]
+async fn of_two_that_expect_one_revision_one_passes_whatever_they_touch() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a"), create("host/b")]).await.unwrap();
+    let expecting = |path: &str| {
+        let (gcm, request) = (gcm.clone(), vec![start(path)]);
+        let expected_revision = Some(gcm.graph().revision);
+        async move { gcm.execute(request, ExecuteOptions { expected_revision, ..within(5000) }).await }
+    };
+    lcm.hold("Start host/a");
+    let first = tokio::spawn(expecting("host/a"));
+    lcm.hangs("Start host/a").await;
+    let mut other = std::pin::pin!(expecting("host/b"));
+    begun(other.as_mut()).await;
+    lcm.release("Start host/a");
+    first.await.unwrap().unwrap();
+    assert_eq!(other.await.unwrap_err().reason(), "REVISION_CONFLICT");
+    // One that was refused leaves the revision to others.
+    lcm.refuse("Start host/b");
+    let refused = tokio::join!(expecting("host/b"), expecting("host/b"));
+    assert_eq!(
+        (refused.0.unwrap_err().reason(), refused.1.unwrap_err().reason()),
+        ("COMPONENT_REFUSED", "COMPONENT_REFUSED")
+    );
+}
