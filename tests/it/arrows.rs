@@ -282,9 +282,12 @@ fn named_modules(code: &str, depth: usize) -> Vec<String> {
 fn program_and_tests_use_one_set_of_features_of_every_dependency() {
     let program = features(&["--edges", "normal,build"]);
     let everything = features(&["--edges", "normal,build,dev", "--workspace"]);
+    // The simulation sets the clock of tokio, which a program is not to be able to.
+    let but_the_clock =
+        |sets: &BTreeSet<String>| sets.iter().map(|set| set.replace(",test-util", "")).collect();
     let differ = |(package, sets): (&String, &BTreeSet<String>)| {
-        let with_tests = &everything[package];
-        (with_tests != sets).then(|| format!("{package}: program {sets:?}, with all tests {with_tests:?}"))
+        let with_tests: BTreeSet<String> = but_the_clock(&everything[package]);
+        (with_tests != *sets).then(|| format!("{package}: program {sets:?}, with all tests {with_tests:?}"))
     };
     let differing: Vec<String> = program.iter().filter_map(differ).collect();
     assert!(
