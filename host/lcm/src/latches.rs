@@ -70,7 +70,7 @@ impl Latches {
             Latch { here: 1.., .. } => {
                 Some("it was stopped at its process, and the GCM does not know it yet")
             }
-            // Of the same decision is the Stop of a Start that was given up.
+            // A Start that was given up is stopped by its own decision.
             latch if latch.decision >= decision && latch.decision != Decision::NONE => {
                 Some("it was stopped while this was being carried out")
             }

@@ -324,7 +324,7 @@ impl Gcm {
     /// Claims the part of these requests, for something that is no request: `doing` names it.
     ///
     /// # Errors
-    /// Those of [`Gcm::claim_part`].
+    /// As [`Gcm::claim_part`].
     pub(super) async fn claim_for<P: Into<Planned>>(
         &self,
         doing: String,

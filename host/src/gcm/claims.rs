@@ -161,7 +161,7 @@ struct Entry {
     part: Part,
     under_way: bool,
     marks: Marks,
-    /// What is to be done, and once it is begun the change it waits for now: "Start host/robot".
+    /// Name of the request, and once it is begun of the change it waits for now: "Start host/robot".
     doing: String,
 }
 

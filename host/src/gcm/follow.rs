@@ -8,8 +8,8 @@ use std::sync::{Arc, Weak};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::sync::{mpsc, oneshot};
-use trocar_lcm_api::{Decision, HalfReport, Inventory, Lcm, News, Report};
-use trocar_model::{Change, ComponentId, ConnectionId, Name, SystemGraph};
+use trocar_lcm_api::{HalfReport, Inventory, Lcm, News, Report};
+use trocar_model::{Change, Component, ComponentId, ConnectionId, Health, Name, SystemGraph};
 
 use super::Gcm;
 use super::manager::Inner;
@@ -117,12 +117,15 @@ impl Gcm {
         let graph = self.graph();
         for report in has.iter().filter(|report| !graph.components.contains_key(&report.id)) {
             let component = Box::new(nameless(report.state));
-            self.straighten(process, Change::Create { id: report.id.clone(), component }, Decision::NONE);
+            self.straighten(process, Change::Create { id: report.id.clone(), component });
         }
-        let lacks = |id: &ComponentId| !has.iter().any(|report| report.id == *id);
-        for (id, component) in graph.components.iter().filter(|(id, _)| id.process == *process && lacks(id)) {
+        // One that could not be made again is listed with the reason.
+        let lacks = |id: &ComponentId, c: &Component| {
+            id.process == *process && c.health != Health::Lost && !has.iter().any(|report| report.id == *id)
+        };
+        for (id, component) in graph.components.iter().filter(|(id, component)| lacks(id, component)) {
             let component = Box::new(component.clone());
-            self.straighten(process, Change::Destroy { id: id.clone(), component }, Decision::NONE);
+            self.straighten(process, Change::Destroy { id: id.clone(), component });
         }
     }
 }

@@ -13,18 +13,23 @@ use super::observed::After;
 use super::{Gcm, text};
 
 impl Gcm {
-    /// Has the process be as was decided, whatever it has done late. Not waited for.
-    pub(super) fn straighten(&self, process: &Name, change: Change, decision: Decision) {
+    /// Has the process be as was decided, although it has done this change of that decision late. Not waited
+    /// for.
+    pub(super) fn done_late(&self, process: &Name, change: Change, decision: Decision) {
+        log::warn!("{} was done in process {process} after it had been given up", text::asked(&change));
+        let Change::Run { id, to: State::Active, .. } = &change else {
+            return self.straighten(process, change);
+        };
+        // A component that moves is stopped at once; the process leaves one alone that was started since.
+        if self.granted_by(id).is_none() {
+            self.stop_late(id, decision);
+        }
+    }
+
+    /// Has the process be as was decided, whether it has done this change or not. Not waited for.
+    pub(super) fn straighten(&self, process: &Name, change: Change) {
         let Some(session) = self.inner.sessions.lock().holder(process) else { return };
         let asked = text::asked(&change);
-        log::warn!("{asked} was done in process {process} after it had been given up");
-        if let Change::Run { id, to: State::Active, .. } = &change {
-            // What moves waits for no request. The process knows what somebody has started since.
-            if self.granted_by(id).is_none() {
-                self.stop_late(id, decision);
-            }
-            return;
-        }
         let (gcm, process) = (self.clone(), process.clone());
         tokio::spawn(async move {
             while gcm.hears(&process, session) {
@@ -37,7 +42,7 @@ impl Gcm {
                 }
             }
             if matches!(&change, Change::Disconnect { connection, .. } if !connection.is_near()) {
-                // Where it is still wanted, its half is made again.
+                // Its half is made again, where it is still wanted.
                 gcm.link_missing(process).await;
             }
         });
@@ -68,7 +73,7 @@ impl Gcm {
                     return Ok(());
                 };
                 if matches!(component.state, State::Active | State::Fault) {
-                    // What moves is given no settings that nobody asked for; what has failed takes none.
+                    // One that moves is given no settings that nobody asked for; a failed one takes none.
                     self.is_configured_so(id, to);
                     return Ok(());
                 }

@@ -127,7 +127,7 @@ impl Gcm {
                     left.extend(is_left.then_some(connection));
                 }
                 After::Failed(component) => _ = self.enter(Entry::Failed { component }),
-                After::Late(process, change, decision) => self.straighten(&process, *change, decision),
+                After::Late(process, change, decision) => self.done_late(&process, *change, decision),
                 // It goes on by another grant alone.
                 After::Rests(id, to) => {
                     let rest = Change::Run { id, verb: Verb::Stop, from: State::Active, to };

@@ -69,7 +69,7 @@ impl Past {
             }
             return Ok(());
         };
-        // What is wanted then is known, although not how it came to be. The records behind that lead to the
+        // The wanted part is known then, although not how it came to be. The records behind that lead to the
         // same once more.
         let whole = Snapshot { wanted: wanted.clone(), answers: self.answers.remembered() };
         store.keep(&whole)?;

@@ -272,7 +272,7 @@ impl Gcm {
         (process, session): (&Name, u64),
         change: &Change,
     ) -> Result<(), Refusal> {
-        // What has failed takes no settings.
+        // A component that has failed takes no settings.
         if let Change::Configure { id, from, from_state: State::Fault, .. } = change {
             self.is_configured_so(id, from);
             return Ok(());

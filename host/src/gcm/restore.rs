@@ -85,7 +85,7 @@ impl Gcm {
             }
         };
         let carrying = Carrying::begin(&self, claim);
-        // What is made again has no grant on record until it runs again.
+        // A component that is made again has no grant on record until it runs again.
         let back = Back { process: process.clone(), session, since, grants: self.grants(&process) };
         let mut made = Vec::new();
         let again = self.make_again(&carrying, &plan, &back, &here, &mut made).await;
@@ -106,7 +106,7 @@ impl Gcm {
         if made.is_empty() {
             return;
         }
-        // What goes on by itself is of no later decision than before.
+        // A component that goes on by itself does so by no later decision than before.
         let starts = made.iter().find(|change| matches!(change, Change::Run { to: State::Active, .. }));
         let granted = starts.and_then(|start| back.grants.get(id_of(start)).copied());
         let decision = granted.unwrap_or(back.since).0;

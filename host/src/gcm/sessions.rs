@@ -330,8 +330,8 @@ impl Sessions {
             who.process.clone(),
             Session { number: session, stopped_here: 0, pid: who.pid, lcm, asks, card },
         );
-        // What was ordered before is over: it comes with what became of that. Until that is entered nobody
-        // knows how it stands.
+        // Earlier orders are over: it comes with what became of them. Until that is entered nobody knows how
+        // it stands.
         self.unanswered.retain(|id| id.process != who.process);
         self.entered.remove(&who.process);
         self.dismissed.remove(&who.process);

@@ -40,7 +40,7 @@ struct Halting {
     session: Option<u64>,
 }
 
-/// What a process has stopped, in that session.
+/// Components that a process has stopped, in that session.
 struct Told {
     session: Option<u64>,
     halted: Vec<Halted>,

@@ -10,6 +10,7 @@ mod interrupted;
 mod isolated;
 mod journal;
 mod keeping_stopped;
+mod kept;
 mod late;
 mod phases;
 mod ports;

@@ -75,7 +75,6 @@ async fn answered(
     if !asked.options.validate_only && !moves.is_empty() {
         truth.start_asked(asked.event, moves.clone());
     }
-    // What was asked under an id before may have been done already, and is answered from memory.
     let (tell, told) = tokio::sync::oneshot::channel();
     let (requests, options, working) = (asked.requests.clone(), asked.options.clone(), gcm.clone());
     tasks.lock().spawn(async move {
@@ -94,7 +93,7 @@ async fn answered(
     if asked.options.validate_only {
         return;
     }
-    // What was ordered when a process was lost is given up by it with its lease, and taken back.
+    // A process that is lost gives its orders up with its lease, and takes back what it has done.
     let is_open = match answer {
         Err(Refusal::ProcessLost { .. }) => true,
         Err(Refusal::LcmTimeout { .. }) => world.is_new(),

@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
+use serde_json::json;
 use trocar_model::{
     Arg, ClassInfo, Command, CommandKind, Execution, ExecutionLimits, ExecutionModel, Input, Output,
     Overflow, PortType, Ports, Prim, Programs, Provided, Required, Safety, Tag, Type,
 };
-
-use crate::world::World;
 
 pub(crate) fn actuator() -> Arc<ClassInfo> {
     class("arm", Safety::Actuator)
@@ -89,7 +88,10 @@ fn class(name: &str, safety: Safety) -> Arc<ClassInfo> {
             min_period_ns: Some(100_000),
             max_period_ns: Some(1_000_000_000),
         },
-        config_schema: World::schema(),
+        config_schema: json!({
+            "type": "object",
+            "properties": { "gain": { "type": "number", "minimum": 0, "default": 1.5, "live": true } },
+        }),
         ports,
     })
 }

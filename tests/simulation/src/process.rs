@@ -242,7 +242,7 @@ impl ModelLcm {
             why: why.to_owned(),
         };
         let moves = matches!(verb, Verb::Start | Verb::Resume);
-        // What is removed is brought to rest first.
+        // A component that is removed is brought to rest first.
         let does = if verb == Verb::Remove { Verb::Stop } else { verb };
         let to = transition(stood, does).ok_or_else(|| held_off(stood, ""))?;
         if moves && let Some(why) = self.latches.hold_off(id, order.decision) {

@@ -101,7 +101,7 @@ struct Left {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ended {
     pub events: u64,
-    /// Of all events: two runs with the same hash are the same.
+    /// Hash of all events and their times: two runs with the same one are the same.
     pub hash: u64,
     pub violation: Option<String>,
 }

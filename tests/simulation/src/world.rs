@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
-use serde_json::json;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use trocar::control::{Begin, Uplink};
@@ -50,7 +49,7 @@ pub(crate) struct World {
     pace: Pace,
 }
 
-/// How often things fail in a run, each of them for itself.
+/// Pace at which things fail in a run, each of them for itself.
 struct Pace {
     /// Longest time until the manager may be killed, a process may end, a network or the disk may fail, ms.
     manager: u64,
@@ -408,7 +407,7 @@ fn of_process(graph: &SystemGraph, name: &Name, seen: &crate::process::Seen) -> 
     let listed: BTreeMap<_, _> = graph.components.iter().filter(|(id, _)| id.process == *name).collect();
     for (id, component) in &listed {
         let has = seen.components.get(id);
-        // What could not be made again says so, and waits for somebody to remove it.
+        // A component that could not be made again says so, and waits for somebody to remove it.
         if has.is_none() && component.state == State::Fault && !component.fault.is_empty() {
             continue;
         }
@@ -441,14 +440,4 @@ fn of_process(graph: &SystemGraph, name: &Name, seen: &crate::process::Seen) -> 
         wrong.push(format!("{name} has a half {id} of {connection:?} that is not listed"));
     }
     wrong
-}
-
-impl World {
-    /// The settings that a component may have.
-    pub(crate) fn schema() -> serde_json::Value {
-        json!({
-            "type": "object",
-            "properties": { "gain": { "type": "number", "minimum": 0, "default": 1.5, "live": true } },
-        })
-    }
 }

@@ -1,4 +1,4 @@
-//! What the gate plays: a fixed choice of seeds. Others are played by hand (`--seed`, `--events`).
+//! The seeds of the gate: a fixed choice. Others are played by hand (`--seed`, `--events`).
 
 use std::process::{Command, Output};
 

@@ -76,3 +76,31 @@ async fn what_is_connected_late_is_cut() {
     }
     assert!(gcm.graph().connections.is_empty());
 }
+
+#[tokio::test]
+async fn where_news_is_lost_what_was_done_late_is_found_and_what_could_not_be_made_stays_listed() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a"), create("host/b"), create("host/lost")]).await.unwrap();
+    let made = planned(&gcm, &create("host/late"));
+    let destroy = |path: &str| {
+        let component = Box::new(component(&gcm.graph(), path));
+        Change::Destroy { id: id(path), component }
+    };
+    let gone = [made, destroy("host/b"), destroy("host/lost")];
+    gcm.edit(|graph| {
+        let lost = graph.components.get_mut(&id("host/lost")).unwrap();
+        (lost.state, lost.health) = (State::Fault, Health::Lost);
+    });
+    for change in gone {
+        lcm.apply(change, clock::now().into()).await.unwrap();
+    }
+    // More than its followers can keep.
+    for at in 0..200 {
+        lcm.log("host/a", 3, &format!("line {at}"));
+    }
+    while lcm.state("host/late").is_some() {
+        tokio::task::yield_now().await;
+    }
+    let graph = until(&gcm, "it is gone", |graph| !graph.components.contains_key(&id("host/b"))).await;
+    assert_eq!(graph.components.keys().map(ToString::to_string).collect::<Vec<_>>(), ["host/a", "host/lost"]);
+}
