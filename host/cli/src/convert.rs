@@ -274,7 +274,8 @@ pub(super) fn waited(path: &str, w: &v1::WaitForResponse) -> WaitView {
 
 pub(super) fn change(w: &v1::WatchResponse) -> ChangeView {
     use v1::watch_response::News;
-    let mut view = ChangeView { revision: w.revision, term: w.term, ..ChangeView::default() };
+    let mut view =
+        ChangeView { revision: w.revision, term: w.term, cursor: w.cursor.clone(), ..ChangeView::default() };
     let (processes, components, connections) = match &w.news {
         Some(News::Snapshot(s)) => {
             view.snapshot = true;

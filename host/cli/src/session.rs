@@ -225,9 +225,9 @@ impl Session {
 
     pub(super) async fn watch(
         &self,
-        from: u64,
+        after: &str,
     ) -> Result<Follow<'_, v1::WatchResponse, ChangeView>, Failure> {
-        let ask = v1::WatchRequest { from_revision: from, page_size: 0 };
+        let ask = v1::WatchRequest { after: after.to_owned(), ..Default::default() };
         let stream = self.client().await?.gcm.watch(ask).await.map_err(|s| self.failed(&s))?.into_inner();
         Ok(Follow { session: self, stream, view: convert::change })
     }

@@ -522,6 +522,8 @@ pub(super) struct ChangeView {
     pub(super) removed_processes: Vec<String>,
     pub(super) removed_components: Vec<String>,
     pub(super) removed_connections: Vec<u64>,
+    /// Place to go on from: `trocar watch --after CURSOR`.
+    pub(super) cursor: String,
 }
 
 impl ChangeView {

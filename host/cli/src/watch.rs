@@ -1,6 +1,6 @@
 //! `trocar watch`: the graph as it changes.
 //!
-//! Invariant: the first message is the whole graph, so a reader needs nothing else.
+//! Invariant: the first message is the whole graph, or what has changed since the cursor that was given.
 
 use clap::Args;
 
@@ -11,13 +11,13 @@ use super::session::Session;
 /// Follows changes of the system: processes, components, connections.
 #[derive(Args, Debug)]
 pub(super) struct WatchArgs {
-    /// Only changes after this revision.
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    from_revision: u64,
+    /// First what has changed since this `cursor` of a `trocar watch --json`, in place of the whole system.
+    #[arg(long, default_value = "", value_name = "CURSOR", hide_default_value = true)]
+    after: String,
 }
 
 pub(super) async fn run(args: WatchArgs, session: &Session) -> Done {
-    let mut news = session.watch(args.from_revision).await?;
+    let mut news = session.watch(&args.after).await?;
     while let Some(change) = news.next().await? {
         if session.json() {
             session.print_json(&change)?;

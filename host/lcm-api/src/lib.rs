@@ -59,8 +59,8 @@ pub trait Lcm: Send + Sync {
     /// items, counted in the next item's `skipped`.
     async fn subscribe(&self, selections: Vec<Selection>) -> Result<mpsc::Receiver<Item>, Refusal>;
 
-    /// Live figures of one component.
-    async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal>;
+    /// Live figures of components; those that are not there are left out.
+    async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal>;
 
     /// Figures of every connection that ends in this process.
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal>;

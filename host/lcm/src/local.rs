@@ -544,13 +544,23 @@ impl Lcm for LocalLcm {
         Ok(self.give_phases(given))
     }
 
-    async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal> {
-        let slot = self.slot(&id)?;
-        let around = slot.execution.inside.as_deref().is_none_or(|host| {
-            let host = ComponentId::parse(host).and_then(|host| self.slot(&host));
-            host.is_ok_and(|host| host.instance.is_active())
+    async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
+        let held = self.held();
+        let is_around = |slot: &Slot| {
+            slot.execution.inside.as_deref().is_none_or(|host| {
+                let host = ComponentId::parse(host).ok();
+                host.and_then(|host| held.components.get(&host)).is_some_and(|host| host.instance.is_active())
+            })
+        };
+        let there = ids.into_iter().filter_map(|id| {
+            let slot = held.components.get(&id)?.clone();
+            let around = is_around(&slot);
+            Some((id, slot, around))
         });
-        Ok(detail::detail(&slot, around))
+        let there: Vec<_> = there.collect();
+        // What is counted is read without a lock.
+        drop(held);
+        Ok(there.into_iter().map(|(id, slot, around)| (id, detail::detail(&slot, around))).collect())
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {

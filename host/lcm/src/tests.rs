@@ -39,7 +39,7 @@ use trocar_model::{
 };
 
 use super::boundary::puppet::{Behaviour, PuppetClasses, behave, class};
-use super::{Classes, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
+use super::{Classes, Detail, Invoke, Lcm, LcmConfig, LocalLcm, Payload, Report};
 use crate::watchdog::Watchdog;
 
 /// Deadline of LCM requests that should be answered soon; a failure, not a speed limit.
@@ -71,6 +71,11 @@ impl World {
 
     fn id(&self, name: &str) -> ComponentId {
         ComponentId::parse(&format!("{}/{name}", self.process)).unwrap()
+    }
+
+    async fn detail(&self, name: &str) -> Detail {
+        let mut details = self.lcm.details(vec![self.id(name)]).await.unwrap();
+        details.pop().unwrap().1
     }
 
     async fn apply(&self, change: Change) -> Result<Report, Refusal> {

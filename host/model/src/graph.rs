@@ -4,28 +4,38 @@
 //! source; a refused request leaves the graph untouched. Requests made the desired part; `state`, `health`,
 //! `fault` and `proxies` are the last reports of the LCMs.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use serde_json::Value;
 
 use crate::{
     ClassInfo, ComponentId, Connection, ConnectionId, End, Execution, Health, Name, PortId, Ports, Proxy,
-    State,
+    State, Table,
 };
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SystemGraph {
     /// +1 per accepted change.
     pub revision: u64,
-    pub processes: BTreeMap<Name, Process>,
-    pub components: BTreeMap<ComponentId, Component>,
-    pub connections: BTreeMap<ConnectionId, Connection>,
+    /// Number of this state: +1 with everything that is shown differently, accepted or seen.
+    pub seen: u64,
+    pub processes: Table<Name, Process>,
+    pub components: Table<ComponentId, Component>,
+    pub connections: Table<ConnectionId, Connection>,
     /// Halves of connections between processes, as their LCMs tell.
-    pub proxies: BTreeMap<(ConnectionId, End), Proxy>,
+    pub proxies: Table<(ConnectionId, End), Proxy>,
     /// Number the next connection gets; the first is 1, and a change that is undone does not give its number
     /// back.
     pub next_connection: u64,
+}
+
+/// Whatever of a graph is shown differently than before, or is gone.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Touched {
+    pub processes: BTreeSet<Name>,
+    pub components: BTreeSet<ComponentId>,
+    pub connections: BTreeSet<ConnectionId>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,7 +109,55 @@ impl std::fmt::Display for ProcessState {
     }
 }
 
+impl Touched {
+    pub fn len(&self) -> usize {
+        self.processes.len() + self.components.len() + self.connections.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Takes in what others touched.
+    pub fn add(&mut self, more: &Touched) {
+        self.processes.extend(more.processes.iter().cloned());
+        self.components.extend(more.components.iter().cloned());
+        self.connections.extend(more.connections.iter().copied());
+    }
+}
+
 impl SystemGraph {
+    /// Ends a state of the graph: returns what is shown differently than in the one before, and counts it.
+    pub fn settle(&mut self) -> Touched {
+        let at = self.seen + 1;
+        let processes = self.processes.settle(at);
+        let mut touched = Touched {
+            components: self.components.settle(at).into_iter().map(|(id, _)| id).collect(),
+            connections: self.connections.settle(at).into_iter().map(|(id, _)| id).collect(),
+            processes: BTreeSet::new(),
+        };
+        let mut leaning: BTreeSet<ConnectionId> =
+            self.proxies.settle(at).into_iter().map(|((id, _), _)| id).collect();
+        let stands = |process: Option<&Process>| process.map(|p| (p.state, p.guest.clone()));
+        for (name, was) in processes {
+            if stands(self.processes.get(&name)) != stands(was.as_deref()) {
+                let ends = |c: &&Connection| !c.is_near() && c.ends_in(&name);
+                leaning.extend(self.connections.values().filter(ends).map(|c| c.id));
+            }
+            touched.processes.insert(name);
+        }
+        // Of a connection its halves are shown, too, and why one is not there.
+        let shows_halves = |c: &Connection| !c.is_near();
+        leaning.retain(|id| {
+            self.connections.get(id).is_some_and(shows_halves) && self.connections.touch(id, at)
+        });
+        touched.connections.extend(leaning);
+        if !touched.is_empty() {
+            self.seen = at;
+        }
+        touched
+    }
+
     /// Tells whether this end belongs to a guest, which calls from outside.
     pub fn is_guests(&self, end: &PortId) -> bool {
         self.processes.get(&end.component.process).is_some_and(|p| !p.guest.is_empty())

@@ -1,7 +1,7 @@
 //! Decides, never does: names, types, the system graph, plans and refusals.
 //!
 //! Invariant: pure functions of their arguments. No I/O, clock, thread, randomness, unsafe or async;
-//! `BTreeMap`s so that the same input gives the same output, in simulation as in production.
+//! sorted maps so that the same input gives the same output, in simulation as in production.
 #![forbid(unsafe_code)]
 // Refusals are rare and carry their values by design; boxing them would burden every match on them.
 #![allow(clippy::result_large_err)]
@@ -24,6 +24,7 @@ mod proxy;
 mod refusal;
 mod request;
 mod state;
+mod table;
 mod types;
 mod unit;
 mod value;
@@ -43,7 +44,7 @@ pub use config::{
 pub use connect::{Binding, Link, Port, bindings, idle_connection};
 pub use connection::{ConnectOptions, Connection, ConnectionId, End, Queue};
 pub use copies::{CopyRun, MAX_COPIES};
-pub use graph::{Component, Process, ProcessState, SystemGraph, Warnings};
+pub use graph::{Component, Process, ProcessState, SystemGraph, Touched, Warnings};
 pub use name::{ComponentId, MemberId, Name, Pattern, PortId, Target};
 pub use nearest::nearest;
 pub use phases::{Phase, StepTimes, phases, steps_matter};
@@ -55,6 +56,7 @@ pub use proxy::Proxy;
 pub use refusal::{Code, Refusal, brief, errors_markdown};
 pub use request::{Request, Which};
 pub use state::{Health, State, StopReason, Verb, allowed, transition};
+pub use table::Table;
 pub use types::{EnumType, Field, Prim, StructType, Type};
 pub use unit::{Unit, UnitError};
 pub use value::{ValueError, check_range, decode, encode, from_float, interpolate};

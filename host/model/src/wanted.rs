@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::{
     Change, ClassInfo, Component, ComponentId, Connection, ConnectionId, Execution, Health, Name, Process,
-    ProcessState, Safety, State, StopReason, SystemGraph, Target, Verb, Warnings,
+    ProcessState, Safety, State, StopReason, SystemGraph, Table, Target, Verb, Warnings,
 };
 
 /// Everything that was decided, up to a revision.
@@ -248,10 +248,11 @@ impl Wanted {
         let owners = self.components.keys().map(|id| &id.process);
         SystemGraph {
             revision: self.revision,
+            seen: 0,
             processes: owners.map(|name| (name.clone(), lost(epoch(name)))).collect(),
             components: self.components.iter().map(|(id, c)| (id.clone(), c.unseen())).collect(),
-            connections: self.connections.clone(),
-            proxies: BTreeMap::new(),
+            connections: self.connections.iter().map(|(id, c)| (*id, c.clone())).collect(),
+            proxies: Table::new(),
             next_connection: self.next_connection,
         }
     }

@@ -501,9 +501,10 @@ impl Lcm for FakeLcm {
         Ok(told)
     }
 
-    async fn detail(&self, _: ComponentId) -> Result<Detail, Refusal> {
+    async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
         self.figures.fetch_add(1, Ordering::Relaxed);
-        Ok(Detail { executed: 42, thread: "own thread".into(), ..Detail::default() })
+        let detail = Detail { executed: 42, thread: "own thread".into(), ..Detail::default() };
+        Ok(ids.into_iter().map(|id| (id, detail.clone())).collect())
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {

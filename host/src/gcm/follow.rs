@@ -138,7 +138,7 @@ fn enter_half(graph: &mut Arc<SystemGraph>, half: HalfReport) -> bool {
     }
     let proxies = &mut Arc::make_mut(graph).proxies;
     match half.proxy {
-        Some(proxy) => _ = proxies.insert(key, proxy),
+        Some(proxy) => proxies.insert(key, proxy),
         None => _ = proxies.remove(&key),
     }
     true

@@ -241,9 +241,9 @@ impl Lcm for GuestLcm {
         self.nothing_there()
     }
 
-    async fn detail(&self, _: ComponentId) -> Result<Detail, Refusal> {
-        let program = "outside of the system".to_owned();
-        Ok(Detail { thread: program, ..Detail::default() })
+    async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
+        let detail = Detail { thread: "outside of the system".into(), ..Detail::default() };
+        Ok(ids.into_iter().map(|id| (id, detail.clone())).collect())
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {

@@ -14,6 +14,7 @@ use trocar_model::{Entry, SystemGraph};
 
 use super::answer::Answer;
 use super::claims::Claims;
+use super::history::History;
 use super::holds::Holds;
 use super::ids::Ids;
 use super::isolation::Isolation;
@@ -34,6 +35,7 @@ pub(super) struct Inner {
     pub(super) ids: Ids,
     pub(super) each_change: Duration,
     graph: watch::Sender<Arc<SystemGraph>>,
+    history: Arc<History>,
     pub(super) sessions: Mutex<Sessions>,
     /// Everything that changes the graph but Stop.
     pub(super) claims: Claims,
@@ -52,10 +54,12 @@ impl Gcm {
     /// A GCM that goes on from there and hears no process yet. With a bell, its records go to a store.
     pub(super) fn new(ids: Ids, each_change: Duration, past: &Past, bell: Option<Bell>) -> Gcm {
         let (wanted, answers) = (past.wanted.clone(), past.answers.clone());
-        let (graph, claims) = (wanted.unseen(), Claims::default());
+        let (mut graph, claims) = (wanted.unseen(), Claims::default());
+        graph.settle();
         claims.count_from(Decision(wanted.decision).max(Decision::before(ids.term())));
         let inner = Inner {
             each_change,
+            history: Arc::new(History::beginning(graph.seen)),
             graph: watch::channel(Arc::new(graph)).0,
             sessions: Mutex::new(Sessions::after(&wanted)),
             claims,
@@ -80,6 +84,11 @@ impl Gcm {
         self.inner.graph.subscribe()
     }
 
+    /// What each state of the graph has changed, as far as it is kept.
+    pub(crate) fn history(&self) -> &Arc<History> {
+        &self.inner.history
+    }
+
     /// The term of this GCM: one per incarnation.
     pub fn term(&self) -> u64 {
         self.inner.ids.term()
@@ -92,11 +101,20 @@ impl Gcm {
 
     /// Edits the graph; `f` tells whether anything changed, and only then the followers are woken.
     pub(super) fn edit_if(&self, f: impl FnOnce(&mut Arc<SystemGraph>) -> bool) {
-        self.inner.graph.send_if_modified(f);
+        self.inner.graph.send_if_modified(|graph| {
+            let changed = f(graph);
+            if changed {
+                self.inner.history.settle(Arc::make_mut(graph));
+            }
+            changed
+        });
     }
 
     pub(super) fn edit(&self, f: impl FnOnce(&mut SystemGraph)) {
-        self.inner.graph.send_modify(|graph| f(Arc::make_mut(graph)));
+        self.edit_if(|graph| {
+            f(Arc::make_mut(graph));
+            true
+        });
     }
 
     /// Counts one more accepted request, and enters what it has decided. Returns the number of the record.

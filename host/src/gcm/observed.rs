@@ -3,6 +3,8 @@
 //! Invariant: after a report no connection of that component ends in a port it does not have or that does not
 //! fit any more; every connection that goes is logged and is a new revision.
 
+use std::sync::Arc;
+
 use trocar_lcm_api::{Decision, Report, clock};
 use trocar_model::{
     Change, Component, ComponentId, Connection, ConnectionId, Entry, Name, Refusal, State, StopReason,
@@ -88,7 +90,7 @@ pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<After> {
     for (number, why) in graph.loose_ends(id) {
         if let Some(connection) = graph.connections.remove(&number) {
             log::warn!("{}: {why}", cut(&connection));
-            taken.push(After::cut(connection));
+            taken.push(After::cut(Arc::unwrap_or_clone(connection)));
         }
     }
     if !taken.is_empty() {

@@ -59,7 +59,9 @@ impl Gcm {
             for (end, process) in ends {
                 let why = refusal.to_string();
                 let none = Proxy { process: process.clone(), epoch: 0, why, carrier: String::new() };
-                proxies.entry((connection.id, end)).or_insert(none);
+                if !proxies.contains_key(&(connection.id, end)) {
+                    proxies.insert((connection.id, end), none);
+                }
             }
         });
     }

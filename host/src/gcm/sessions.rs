@@ -278,9 +278,7 @@ impl Sessions {
         p.state = ProcessState::Lost;
         p.classes.clear();
         let epoch = p.epoch;
-        for (_, component) in graph.components.iter_mut().filter(|(id, _)| id.process == *process) {
-            component.health = Health::Lost;
-        }
+        graph.components.change(|id, _| id.process == *process, |component| component.health = Health::Lost);
         graph.proxies.retain(|_, half| half.process != *process);
         Some(epoch)
     }

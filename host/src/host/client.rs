@@ -281,7 +281,10 @@ impl Host {
     /// ComponentNotFound.
     pub async fn detail(&self, path: &str) -> Result<Detail, Refusal> {
         let id = ComponentId::parse(path)?;
-        self.lcm_of(&id.process)?.detail(id).await
+        let mut details = self.lcm_of(&id.process)?.details(vec![id.clone()]).await?;
+        let known = || self.gcm().map(|gcm| gcm.graph().components.keys().cloned().collect());
+        let missing = || Refusal::ComponentNotFound { id, known: known().unwrap_or_default() };
+        details.pop().map(|(_, detail)| detail).ok_or_else(missing)
     }
 
     /// A component's state as the GCM knows it.

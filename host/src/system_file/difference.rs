@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use trocar_model::{
     Component, ComponentId, ConnectOptions, Connection, ConnectionId, Name, Planning, PortId, ProcessState,
-    Refusal, Request, Safety, State, StopReason, SystemGraph, Target, Verb, Which, allowed, complete,
+    Refusal, Request, Safety, State, StopReason, SystemGraph, Table, Target, Verb, Which, allowed, complete,
     default_max_age, difference, host_of, is_same, live_only, merge,
 };
 
@@ -75,7 +75,7 @@ impl SystemFile {
     }
 
     /// The file's components as they would be made, by the classes of the processes that are there.
-    fn wanted(&self, running: &SystemGraph) -> Result<BTreeMap<ComponentId, Component>, Refusal> {
+    fn wanted(&self, running: &SystemGraph) -> Result<Table<ComponentId, Component>, Refusal> {
         let mut bare = SystemGraph { processes: running.processes.clone(), ..SystemGraph::default() };
         // A process that is not heard offers nothing; its components know their classes all the same.
         for (id, c) in &running.components {
@@ -85,13 +85,14 @@ impl SystemFile {
             }
         }
         for c in self.components.iter().filter(|c| c.isolated) {
-            if let Some(home) = bare.processes.get(&c.written.process).cloned() {
-                bare.processes.entry(c.id.process.clone()).or_insert(home);
+            let home = bare.processes.get(&c.written.process).cloned();
+            if let Some(home) = home.filter(|_| !bare.processes.contains_key(&c.id.process)) {
+                bare.processes.insert(c.id.process.clone(), home);
             }
         }
         let heard =
             |name: &Name| running.processes.get(name).is_none_or(|p| p.state == ProcessState::Attached);
-        bare.processes.values_mut().for_each(|process| process.state = ProcessState::Attached);
+        bare.processes.change(|_, _| true, |process| process.state = ProcessState::Attached);
         let mut planning = Planning::of(&bare);
         for c in in_thread_order(&self.components) {
             if !bare.processes.contains_key(&c.id.process) {

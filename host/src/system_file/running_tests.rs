@@ -95,7 +95,8 @@ fn a_process_that_may_start_programs_is_saved_so() {
     let mut graph = made(&parse(RICH), &["host"]);
     for (programs, may) in [(Programs::None, false), (Programs::Refused, false), (Programs::Allowed, true)] {
         let class = ClassInfo { programs, ..(*classes()[0]).clone() };
-        graph.processes.values_mut().next().unwrap().classes.push(Arc::new(class));
+        let class = Arc::new(class);
+        graph.processes.change(|_, _| true, |process| process.classes.push(class.clone()));
         assert_eq!(parse(&saved(&graph).0).processes[0].allow_exec, may, "{programs:?}");
     }
 }
@@ -121,7 +122,7 @@ fn paths_that_mean_another_file_elsewhere_are_named() {
 #[test]
 fn of_a_process_that_is_lost_all_is_saved_but_its_plugin_directories() {
     let mut graph = made(&parse(RICH), &["host"]);
-    graph.processes.values_mut().for_each(|process| process.state = ProcessState::Lost);
+    graph.processes.change(|_, _| true, |process| process.state = ProcessState::Lost);
     let running = Running { graph: &graph, held: &BTreeSet::new(), plugins: &[].into() };
     let (picture, notes) = running.picture(Path::new("/lab"));
     assert_eq!(picture.text(), RICH.replace(r#"{ "plugins": ["plugins"] }"#, "{}"));
@@ -349,7 +350,8 @@ fn what_a_program_holds_is_neither_saved_nor_taken_away() {
 #[test]
 fn a_process_that_is_not_heard_is_compared_by_what_it_had() {
     let mut graph = made(&parse(RICH), &["host"]);
-    let host = graph.processes.values_mut().next().unwrap();
+    let only = graph.processes.keys().next().unwrap().clone();
+    let host = graph.processes.get_mut(&only).unwrap();
     host.state = ProcessState::Lost;
     host.classes.clear();
     let found = difference(&parse(RICH), &graph);

@@ -2661,14 +2661,17 @@ pub struct ListResponse {
     /// Processes that did not give their figures in time, and why; and that the journal cannot be written.
     #[prost(string, repeated, tag = "7")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
-    /// Tag of the processes, components and connections above without their figures: equal where they are
-    /// equal, for this GCM.
+    /// Tag of the processes, components and connections that were asked for, without their figures: equal where
+    /// nothing of them has changed.
     #[prost(string, tag = "8")]
     pub etag: ::prost::alloc::string::String,
     /// Position where the next page begins; empty = this is the last page. A thing that exists while all
     /// pages are asked for is on one of them; equal etags say that nothing changed meanwhile.
     #[prost(string, tag = "9")]
     pub next_page_token: ::prost::alloc::string::String,
+    /// Place from which a Watch goes on, for its `after`; it tells of the whole system, whatever was listed.
+    #[prost(string, tag = "10")]
+    pub cursor: ::prost::alloc::string::String,
 }
 /// Asks for Describe.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -2948,11 +2951,17 @@ pub struct MoveResponse {
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// Asks for Watch.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct WatchRequest {
-    /// The revision the caller has seen; when it is still the present one no snapshot is sent first.
+    /// Not looked at: states and healths change without a revision, so it does not say what the caller has seen.
+    /// Give `after`.
+    #[deprecated]
     #[prost(uint64, tag = "1")]
     pub from_revision: u64,
+    /// The `cursor` of an answer of Watch or List: the first message has the differences from that one, which
+    /// may be none. Empty, of another GCM or too long ago: the first one is a snapshot.
+    #[prost(string, tag = "3")]
+    pub after: ::prost::alloc::string::String,
     /// Largest number of processes, components, connections and removals in one message; 0 = each
     /// snapshot and delta in one.
     #[prost(int32, tag = "2")]
@@ -2967,6 +2976,9 @@ pub struct WatchResponse {
     /// Incarnation of the GCM; revisions of two terms cannot be compared.
     #[prost(uint64, tag = "2")]
     pub term: u64,
+    /// Place to go on from, for `after` of a later Watch; empty while more pages of this news come.
+    #[prost(string, tag = "5")]
+    pub cursor: ::prost::alloc::string::String,
     /// The news.
     #[prost(oneof = "watch_response::News", tags = "3, 4")]
     pub news: ::core::option::Option<watch_response::News>,
@@ -3527,8 +3539,8 @@ pub mod gcm_service_client {
             req.extensions_mut().insert(GrpcMethod::new("trocar.v1.GcmService", "Move"));
             self.inner.unary(req, path, codec).await
         }
-        /// Returns the graph, then each change of it. A slow reader gets a snapshot instead of the changes it
-        /// missed.
+        /// Returns the graph, then each change of it; with a cursor, whatever has changed since. A slow reader
+        /// gets what has changed meanwhile as one change, or a snapshot.
         pub async fn watch(
             &mut self,
             request: impl tonic::IntoRequest<super::WatchRequest>,
@@ -3729,8 +3741,8 @@ pub mod gcm_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Returns the graph, then each change of it. A slow reader gets a snapshot instead of the changes it
-        /// missed.
+        /// Returns the graph, then each change of it; with a cursor, whatever has changed since. A slow reader
+        /// gets what has changed meanwhile as one change, or a snapshot.
         async fn watch(
             &self,
             request: tonic::Request<super::WatchRequest>,
@@ -5098,7 +5110,7 @@ pub struct Order {
     /// The order.
     #[prost(
         oneof = "order::Order",
-        tags = "3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 16"
+        tags = "3, 4, 5, 6, 7, 17, 9, 10, 11, 12, 13, 14, 16"
     )]
     pub order: ::core::option::Option<order::Order>,
 }
@@ -5122,9 +5134,9 @@ pub mod order {
         /// Stop following the subscription of this number.
         #[prost(uint64, tag = "7")]
         Unsubscribe(u64),
-        /// Figures of this component.
-        #[prost(string, tag = "8")]
-        Detail(::prost::alloc::string::String),
+        /// Figures of components.
+        #[prost(message, tag = "17")]
+        Details(super::DetailsOrder),
         /// Figures of every connection.
         #[prost(message, tag = "9")]
         Links(super::LinksOrder),
@@ -5147,6 +5159,13 @@ pub mod order {
         #[prost(message, tag = "16")]
         Stop(super::StopOrder),
     }
+}
+/// Asks for the figures of components.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct DetailsOrder {
+    /// The components, process/component.
+    #[prost(string, repeated, tag = "1")]
+    pub paths: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 /// Stops components, and whatever is being started or made and has such a name.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -5357,7 +5376,7 @@ pub struct Answer {
     /// The result.
     #[prost(
         oneof = "answer::Answer",
-        tags = "2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14"
+        tags = "2, 3, 4, 5, 6, 7, 8, 15, 10, 11, 12, 13, 14"
     )]
     pub answer: ::core::option::Option<answer::Answer>,
 }
@@ -5387,9 +5406,9 @@ pub mod answer {
         /// The subscription is over.
         #[prost(message, tag = "8")]
         Ended(super::Ended),
-        /// Figures of a component.
-        #[prost(message, tag = "9")]
-        Detail(super::ComponentStats),
+        /// Figures of components.
+        #[prost(message, tag = "15")]
+        Details(super::Details),
         /// Figures of the connections.
         #[prost(message, tag = "10")]
         Links(super::Links),
@@ -5406,6 +5425,23 @@ pub mod answer {
         #[prost(message, tag = "14")]
         Halted(super::Halted),
     }
+}
+/// Figures of those components that are there.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Details {
+    /// One per component.
+    #[prost(message, repeated, tag = "1")]
+    pub components: ::prost::alloc::vec::Vec<ComponentDetail>,
+}
+/// Figures of a component.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ComponentDetail {
+    /// process/component.
+    #[prost(string, tag = "1")]
+    pub path: ::prost::alloc::string::String,
+    /// Its figures.
+    #[prost(message, optional, tag = "2")]
+    pub stats: ::core::option::Option<ComponentStats>,
 }
 /// A subscription stands.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

@@ -486,7 +486,7 @@ impl Lcm for ModelLcm {
         not_modelled()
     }
 
-    async fn detail(&self, _: ComponentId) -> Result<Detail, Refusal> {
+    async fn details(&self, _: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
         not_modelled()
     }
 

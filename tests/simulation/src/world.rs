@@ -360,7 +360,7 @@ impl World {
                 listed.collect::<Vec<_>>()
             ));
         }
-        if wanted.connections != graph.connections {
+        if !wanted.connections.iter().eq(&graph.connections) {
             wrong.push(format!("on record are {:?}, listed are {:?}", wanted.connections, graph.connections));
         }
         for (id, on_record) in &wanted.components {

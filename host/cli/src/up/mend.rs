@@ -334,7 +334,7 @@ mod tests {
             components: components
                 .map(|(path, state)| ((*path).to_owned(), component(path, state, "none")))
                 .collect(),
-            connections: BTreeMap::new(),
+            ..Standing::default()
         }
     }
 

@@ -29,6 +29,8 @@ pub(super) struct Standing {
     pub(super) components: BTreeMap<String, ComponentView>,
     /// By number.
     pub(super) connections: BTreeMap<u64, ConnectionView>,
+    /// Where the last news ended.
+    pub(super) cursor: String,
 }
 
 #[cfg(test)]
@@ -71,7 +73,7 @@ impl Standing {
         if change.snapshot {
             (self.processes, self.components, self.connections) = Default::default();
         }
-        (self.heard, self.term) = (true, change.term);
+        (self.heard, self.term, self.cursor) = (true, change.term, change.cursor);
         self.processes.extend(change.processes.into_iter().map(|p| (p.name.clone(), p)));
         self.components.extend(change.components.into_iter().map(|c| (c.path.clone(), c)));
         self.connections.extend(change.connections.into_iter().map(|c| (c.id, c)));
@@ -106,7 +108,8 @@ pub(super) fn follow(addr: &str) -> (watch::Receiver<Arc<Standing>>, JoinHandle<
 }
 
 async fn hear(session: &Session, tell: &watch::Sender<Arc<Standing>>) -> Result<(), Failure> {
-    let mut changes = session.watch(0).await?;
+    let known = tell.borrow().cursor.clone();
+    let mut changes = session.watch(&known).await?;
     while let Some(change) = changes.next().await? {
         tell.send_modify(|now| Arc::make_mut(now).take(change));
     }

@@ -65,7 +65,7 @@ async fn what_runs_inside_another_steps_right_before_or_after_it_in_every_cycle(
     for cycle in log.chunks_exact(4) {
         assert_eq!(cycle, ["before", "deep", "head", "after"]);
     }
-    let detail = world.lcm.detail(world.id("after")).await.unwrap();
+    let detail = world.detail("after").await;
     assert!(
         detail.thread.contains("x_inside/head") && detail.thread.contains("not ACTIVE"),
         "{}",
@@ -122,13 +122,13 @@ async fn every_elapsed_period_is_executed_or_counted_as_skipped_and_figures_begi
     world.start("head").await;
     eventually("200 steps", || head.steps() >= 200).await;
     world.run("head", Verb::Stop).await.unwrap();
-    let first = world.lcm.detail(world.id("head")).await.unwrap();
+    let first = world.detail("head").await;
     assert_eq!(first.executed, head.steps());
     let begun = head.steps();
     world.start("head").await;
     eventually("20 more steps", || head.steps() >= begun + 20).await;
     world.run("head", Verb::Stop).await.unwrap();
-    let second = world.lcm.detail(world.id("head")).await.unwrap();
+    let second = world.detail("head").await;
     assert_eq!(second.executed, head.steps() - begun, "counted since Start only");
     world.end().await;
 }
@@ -214,7 +214,7 @@ async fn a_device_calls_in_one_thread_at_a_time_and_commands_run_when_it_leaves_
     done.unwrap();
     first.join().unwrap();
     assert_eq!(called.commands.load(Ordering::SeqCst), 2);
-    let detail = world.lcm.detail(world.id("device")).await.unwrap();
+    let detail = world.detail("device").await;
     assert_eq!(detail.executed, 1, "each callback is a cycle");
     let named = |r: &Report| r.warnings.iter().any(|w| w.contains("turned away"));
     world.eventually("telling that calls overlapped", "device", named).await;
@@ -248,7 +248,7 @@ async fn late_periods_are_made_up_for_back_to_back_when_the_execution_says_so() 
     world.start("slow").await;
     eventually("40 steps", || slow.0.load(Ordering::SeqCst) >= 40).await;
     world.run("slow", Verb::Stop).await.unwrap();
-    let detail = world.lcm.detail(world.id("slow")).await.unwrap();
+    let detail = world.detail("slow").await;
     assert_eq!(detail.skipped, 0);
     assert!(detail.overruns >= 10, "those made up for were late: {}", detail.overruns);
     world.end().await;

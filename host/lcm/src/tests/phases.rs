@@ -36,7 +36,7 @@ impl World {
     }
 
     async fn phase(&self, name: &str) -> (Option<u64>, bool) {
-        let detail = self.lcm.detail(self.id(name)).await.unwrap();
+        let detail = self.detail(name).await;
         (detail.phase_ns, detail.phase_auto)
     }
 }
@@ -58,7 +58,7 @@ async fn a_phase_that_changes_while_it_runs_leaves_out_and_doubles_no_cycle() {
         let elapsed = deadline_ns / PERIOD_NS - first_ns / PERIOD_NS;
         assert_eq!(number, elapsed, "executed and skipped are the elapsed periods, at {deadline_ns} ns");
     }
-    let warnings = world.lcm.detail(world.id("a")).await.unwrap().warnings;
+    let warnings = world.detail("a").await.warnings;
     assert!(warnings.contains(&"phase: it is tight".to_owned()), "{warnings:?}");
     world.end().await;
 }

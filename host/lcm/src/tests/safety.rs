@@ -222,7 +222,7 @@ async fn a_step_that_still_runs_is_an_overrun_as_soon_as_its_period_is_over() {
         }
     };
     assert_eq!((first, slow.steps.load(Ordering::SeqCst)), (Health::Overrun, 1), "while it is still inside");
-    let detail = world.lcm.detail(world.id("slow")).await.unwrap();
+    let detail = world.detail("slow").await;
     assert_eq!(detail.overruns, 0, "its thread counts it, when it ends");
     open.send(()).unwrap();
     world.end().await;
@@ -374,7 +374,7 @@ async fn commands_that_a_disconnect_throws_out_and_those_a_full_queue_refused_ar
     world.eventually("a word about it", "a", |r| r.warnings.iter().any(|w| w == said)).await;
     let later = world.run("a", Verb::Stop).await.unwrap();
     assert_eq!(later.warnings, Vec::<String>::new(), "an answer repeats what was told before");
-    let detail = world.lcm.detail(world.id("b")).await.unwrap();
+    let detail = world.detail("b").await;
     assert_eq!(
         (detail.commands_rejected, detail.events_dropped),
         (4, 0),

@@ -425,7 +425,7 @@ async fn overruns_are_counted_and_told_and_the_health_recovers() {
     world.start("slow").await;
     world.eventually("OVERRUN", "slow", |r| r.health == Health::Overrun).await;
     world.eventually("OK", "slow", |r| r.health == Health::Ok).await;
-    let detail = world.lcm.detail(world.id("slow")).await.unwrap();
+    let detail = world.detail("slow").await;
     assert!(detail.overruns >= 3, "each of the three slow cycles counts: {}", detail.overruns);
     world.end().await;
 }

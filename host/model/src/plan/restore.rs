@@ -127,7 +127,7 @@ impl Restored<'_> {
         // Its classes may be others by now, with other tags.
         for (number, why) in forbidden(whole) {
             if let Some(connection) = whole.connections.remove(&number) {
-                let id = connection.client.component;
+                let id = connection.client.component.clone();
                 let why = format!("{} is not connected again: {why}", connection.client.port);
                 plan.skipped.push(Skipped { id, why });
             }

@@ -57,7 +57,7 @@ fn any_ends() -> impl Strategy<Value = (PortId, PortId)> {
 }
 
 /// All components are there, the filters in the source's stream, nothing is connected.
-fn stage() -> SystemGraph {
+pub(crate) fn stage() -> SystemGraph {
     let mut graph = empty();
     let requests: Vec<Request> = CAST
         .iter()
@@ -341,9 +341,7 @@ proptest! {
             }
         }
         let waiting = State::Stopped(StopReason::Interlock);
-        for component in graph.components.values_mut() {
-            component.state = waiting;
-        }
+        graph.components.change(|_, _| true, |component| component.state = waiting);
         let targets = vec![target(glob)];
         let asked = [
             Request::Start { targets: targets.clone() },

@@ -18,6 +18,7 @@ mod removing;
 mod restoring;
 mod running;
 mod scene;
+mod settling;
 mod tagging;
 mod types;
 mod units;

@@ -49,7 +49,8 @@ impl Ring {
         let number = ConnectionId(self.graph.connections.len() as u64 + 1);
         let (client, server) = (port(&format!("host/c{to}/in_{from}")), port(&format!("host/c{from}/out")));
         let connection = Connection { id: number, client, server, options: ConnectOptions::default() };
-        &mut self.graph.connections.entry(number).or_insert(connection).options
+        self.graph.connections.insert(number, connection);
+        &mut self.graph.connections.get_mut(&number).unwrap().options
     }
 
     fn execution(&mut self, name: usize) -> &mut Execution {

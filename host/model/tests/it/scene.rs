@@ -2,7 +2,6 @@
 //!
 //! Invariant: every class here fits the others as its name says, so that a test only states what it changes.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde_json::json;
@@ -244,8 +243,8 @@ pub(crate) fn empty() -> SystemGraph {
     let mut second = filter();
     second.plugin = "extra".into();
     let host = vec![robot(), controller(), logger(), source(), filter(), device(), twin, second];
-    let processes = BTreeMap::from([(name("host"), process(host)), (name("gui"), process(vec![logger()]))]);
-    SystemGraph { processes, ..SystemGraph::default() }
+    let processes = [(name("host"), process(host)), (name("gui"), process(vec![logger()]))];
+    SystemGraph { processes: processes.into_iter().collect(), ..SystemGraph::default() }
 }
 
 pub(crate) fn create(path: &str, class: &str) -> Request {

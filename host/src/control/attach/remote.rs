@@ -347,9 +347,10 @@ impl Lcm for RemoteLcm {
         }
     }
 
-    async fn detail(&self, id: ComponentId) -> Result<Detail, Refusal> {
-        match self.question(O::Detail(id.to_string()), "its figures").await? {
-            A::Detail(stats) => Ok(convert::detail_in(stats)),
+    async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
+        let order = v1::DetailsOrder { paths: ids.iter().map(ToString::to_string).collect() };
+        match self.question(O::Details(order), "the figures of its components").await? {
+            A::Details(told) => told.components.into_iter().map(convert::detail_in).collect(),
             _ => wrong(),
         }
     }

@@ -3,7 +3,7 @@
 //! Invariant: decoding gives a value equal to the encoded one, except for numbers, which are doubles in JSON
 //! values.
 
-use trocar_model::{End, Name, Proxy, Refusal, Wake};
+use trocar_model::{ComponentId, End, Name, Proxy, Refusal, Wake};
 use trocar_proto::v1;
 
 use super::back::unreadable;
@@ -227,7 +227,7 @@ fn any_spread(s: Option<v1::Spread>) -> Spread {
     spread_in(s.unwrap_or_default())
 }
 
-mirror!(stats_out, detail_in: Detail = ComponentStats {
+mirror!(stats_out, stats_in: Detail = ComponentStats {
     lateness_p50_ns, lateness_p99_ns, lateness_max_ns, executed, skipped, overruns, load, commands, commands_rejected,
     events_dropped, thread, realtime, warnings, phase_ns, phase_auto;
     period: some_spread, any_spread;
@@ -236,6 +236,20 @@ mirror!(stats_out, detail_in: Detail = ComponentStats {
 
 pub(crate) fn stats(d: &Detail) -> v1::ComponentStats {
     stats_out(d.clone())
+}
+
+pub(crate) fn details(of: Vec<(ComponentId, Detail)>) -> v1::Details {
+    let one = |(id, detail): (ComponentId, Detail)| v1::ComponentDetail {
+        path: id.to_string(),
+        stats: Some(stats_out(detail)),
+    };
+    v1::Details { components: of.into_iter().map(one).collect() }
+}
+
+/// # Errors
+/// It is of no component.
+pub(crate) fn detail_in(d: v1::ComponentDetail) -> Result<(ComponentId, Detail), Refusal> {
+    Ok((ComponentId::parse(&d.path)?, stats_in(d.stats.unwrap_or_default())))
 }
 
 /// Figures only: ends and options stay empty.

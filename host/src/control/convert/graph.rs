@@ -139,6 +139,7 @@ pub(crate) fn list(
         classes: Vec::new(),
         warnings: figures.warnings.clone(),
         etag: String::new(),
+        cursor: String::new(),
         next_page_token: String::new(),
     }
 }

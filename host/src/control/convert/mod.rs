@@ -11,8 +11,8 @@ mod stopping;
 mod types;
 
 pub(super) use answers::{
-    detail_in, half, half_in, invoke_out, item, item_in, level, line, line_in, link, link_in, payload,
-    plugin, plugin_in, reply, reply_in, row, sample, sample_in, selection, selection_out, stats, when,
+    detail_in, details, half, half_in, invoke_out, item, item_in, level, line, line_in, link, link_in,
+    payload, plugin, plugin_in, reply, reply_in, row, sample, sample_in, selection, selection_out, when,
 };
 pub(crate) use back::{class as class_in, unreadable};
 pub(super) use change::{

@@ -338,8 +338,9 @@ impl GcmService for Edge {
         let gcm = self.gcm()?;
         let pages = Pages::of(&r).map_err(refuse)?;
         let places = &self.standing.lists;
-        let listed = listed(gcm.watch(), &r, until - room(until), self.closing.clone(), places).await?;
+        let listed = listed(gcm, &r, until - room(until), self.closing.clone(), places).await?;
         let Listed { whole, mut part, etag } = listed;
+        let cursor = gcm.history().cursor(&whole);
         let mut classes = if r.classes { classes(&part) } else { Vec::new() };
         let next_page_token = pages.cut(&mut part, &mut classes);
         let ids: Vec<ComponentId> = part.components.keys().cloned().collect();
@@ -348,6 +349,7 @@ impl GcmService for Edge {
         figures.warnings.extend(self.behind());
         Ok(Response::new(v1::ListResponse {
             etag,
+            cursor,
             next_page_token,
             classes: classes.iter().map(|c| convert::class(c)).collect(),
             ..convert::list(&whole, &part, gcm.term(), &figures)
@@ -440,13 +442,8 @@ impl GcmService for Edge {
 
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Result<Response<WatchStream>, Status> {
         let gcm = self.gcm()?;
-        let v1::WatchRequest { from_revision, page_size } = request.into_inner();
-        let size = page_size.try_into().map_err(|_| {
-            let why = "it is negative; 0 means each in one message".into();
-            refuse(Refusal::ArgumentInvalid { what: "Watch".into(), why, field: "page_size".into() })
-        })?;
         let held = self.standing.watches.take()?;
-        Ok(Response::new(watch(gcm.watch(), gcm.term(), from_revision, size, held)))
+        Ok(Response::new(watch(gcm, request.get_ref(), held)?))
     }
 }
 

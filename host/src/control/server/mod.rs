@@ -40,6 +40,8 @@ use crate::lcm::{Detail, Lcm, LinkDetail};
 
 /// Time for live figures; a list is not held up longer.
 const FIGURES: Duration = Duration::from_secs(1);
+/// Most components in one question for figures: its answer is far below what a message may have.
+const AT_ONCE: usize = 1024;
 
 /// The component a request comes from, when it never left this process.
 #[derive(Clone)]
@@ -168,9 +170,8 @@ type Asked = (Vec<(ComponentId, Detail)>, Vec<LinkDetail>);
 
 async fn figures_of(lcm: Arc<dyn Lcm>, ids: Vec<ComponentId>, has_ends: bool) -> Result<Asked, String> {
     let mut details = Vec::with_capacity(ids.len());
-    for id in ids {
-        let detail = lcm.detail(id.clone()).await.map_err(|refusal| refusal.to_string())?;
-        details.push((id, detail));
+    for ids in ids.chunks(AT_ONCE) {
+        details.extend(lcm.details(ids.to_vec()).await.map_err(|refusal| refusal.to_string())?);
     }
     let links = if has_ends { lcm.links().await.map_err(|refusal| refusal.to_string())? } else { Vec::new() };
     Ok((details, links))

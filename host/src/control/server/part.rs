@@ -4,42 +4,88 @@
 
 use std::collections::BTreeSet;
 
-use trocar_model::{ComponentId, MemberId, Name, Pattern, PortId, Ports, Refusal, SystemGraph, Target};
+use trocar_model::{
+    ComponentId, ConnectionId, MemberId, Name, Pattern, PortId, Ports, Refusal, SystemGraph, Target, Touched,
+};
 
-/// Leaves only the named process or component, or everything that a glob matches, with the processes that
-/// hold it.
-pub(super) fn keep_only(graph: &mut SystemGraph, path: &str) -> Result<(), Refusal> {
-    if !path.contains(['/', '*']) {
-        let name = Name::parse(path)?;
-        if !graph.processes.contains_key(&name) {
-            let known = graph.processes.keys().cloned().collect();
-            return Err(Refusal::ProcessNotFound { process: name, known });
-        }
-        graph.processes.retain(|p, _| *p == name);
-        graph.components.retain(|id, _| id.process == name);
-        return Ok(());
+/// A part of the system that can be listed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    Everything,
+    Process(Name),
+    Components(Target),
+}
+
+impl Part {
+    /// # Errors
+    /// It is no path, and no pattern.
+    pub(super) fn read(path: &str) -> Result<Part, Refusal> {
+        Ok(match path {
+            "" => Part::Everything,
+            name if !name.contains(['/', '*']) => Part::Process(Name::parse(name)?),
+            target => Part::Components(Target::parse(target)?),
+        })
     }
-    match Target::parse(path)? {
-        Target::One(id) if !graph.components.contains_key(&id) => {
-            let known = graph.components.keys().cloned().collect();
-            return Err(Refusal::ComponentNotFound { id, known });
-        }
-        Target::One(one) => graph.components.retain(|id, _| *id == one),
-        Target::Glob(pattern) => {
-            let all: Vec<ComponentId> = graph.components.keys().cloned().collect();
-            graph.components.retain(|id, _| pattern.matches(id));
-            // "Everything" holds also where there is nothing.
-            if pattern == Pattern::all() {
+
+    /// Leaves only the named process or component, or everything that a glob matches, with the processes that
+    /// hold it.
+    ///
+    /// # Errors
+    /// There is no such process or component.
+    pub(super) fn keep(&self, graph: &mut SystemGraph) -> Result<(), Refusal> {
+        match self {
+            Part::Everything => return Ok(()),
+            Part::Process(name) if !graph.processes.contains_key(name) => {
+                let known = graph.processes.keys().cloned().collect();
+                return Err(Refusal::ProcessNotFound { process: name.clone(), known });
+            }
+            Part::Process(name) => {
+                graph.processes.retain(|p, _| p == name);
+                graph.components.retain(|id, _| id.process == *name);
                 return Ok(());
             }
-            if graph.components.is_empty() {
-                return Err(Refusal::NothingMatches { pattern: pattern.to_string(), known: all });
+            Part::Components(Target::One(id)) if !graph.components.contains_key(id) => {
+                let known = graph.components.keys().cloned().collect();
+                return Err(Refusal::ComponentNotFound { id: id.clone(), known });
+            }
+            Part::Components(Target::One(one)) => graph.components.retain(|id, _| id == one),
+            Part::Components(Target::Glob(pattern)) => {
+                let all: Vec<ComponentId> = graph.components.keys().cloned().collect();
+                graph.components.retain(|id, _| pattern.matches(id));
+                // "Everything" holds also where there is nothing.
+                if *pattern == Pattern::all() {
+                    return Ok(());
+                }
+                if graph.components.is_empty() {
+                    return Err(Refusal::NothingMatches { pattern: pattern.to_string(), known: all });
+                }
             }
         }
+        let holds: BTreeSet<Name> = graph.components.keys().map(|id| id.process.clone()).collect();
+        graph.processes.retain(|name, _| holds.contains(name));
+        Ok(())
     }
-    let holds: BTreeSet<Name> = graph.components.keys().map(|id| id.process.clone()).collect();
-    graph.processes.retain(|name, _| holds.contains(name));
-    Ok(())
+
+    /// Tells whether something that was touched may be in it, as it is listed now or was before.
+    pub(super) fn concerns(&self, touched: &Touched, now: &SystemGraph) -> bool {
+        let holds = |id: &ComponentId| match self {
+            Part::Everything => true,
+            Part::Process(name) => id.process == *name,
+            Part::Components(target) => target.names(id),
+        };
+        let shows = |process: &Name| match self {
+            Part::Everything => true,
+            Part::Process(name) => process == name,
+            Part::Components(target) => target.within(process).is_some(),
+        };
+        let ends_there = |id: &ConnectionId| {
+            let connection = now.connections.get(id);
+            connection.is_none_or(|c| holds(&c.client.component) || holds(&c.server.component))
+        };
+        touched.components.iter().any(holds)
+            || touched.processes.iter().any(shows)
+            || touched.connections.iter().any(ends_there)
+    }
 }
 
 /// `process/component[/port[/member]]` taken apart.

@@ -1,9 +1,10 @@
-//! Watch: a snapshot, then the changes between one state of the graph and the next.
+//! Watch: a snapshot, or what has changed since the caller's cursor, then the changes from one state of the
+//! graph to the next.
 //!
-//! Invariant: the difference is a pure function of two graphs; a slow watcher misses states between, never a
-//! change.
+//! Invariant: a slow watcher misses states between, never a change. What a change costs a watcher depends on
+//! the change, not on the system.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::pin::Pin;
 use std::sync::Arc;
 
@@ -11,103 +12,145 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
-use trocar_model::{Connection, SystemGraph};
+use trocar_model::{Refusal, SystemGraph, Touched};
 use trocar_proto::v1;
 use trocar_proto::v1::watch_response::News;
 
-use super::page;
+use super::{page, refuse};
 use crate::control::convert;
+use crate::gcm::{Gcm, History};
 
 pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
 
-/// A watcher that knows revision `from` already gets no snapshot when nothing is newer; messages have `size`
-/// items at most, 0 = any number.
-pub(super) fn watch(
-    mut graphs: watch::Receiver<Arc<SystemGraph>>,
+/// Followers of the graph, and what they have been told.
+struct Watcher {
+    graphs: watch::Receiver<Arc<SystemGraph>>,
+    history: Arc<History>,
     term: u64,
-    from: u64,
+    /// Most items in a message; 0 = any number.
     size: usize,
+    tell: mpsc::Sender<Result<v1::WatchResponse, Status>>,
+}
+
+/// Answers a Watch for as long as it is read and the GCM is there.
+///
+/// # Errors
+/// What it says cannot be.
+pub(super) fn watch(
+    gcm: &Gcm,
+    request: &v1::WatchRequest,
     held: OwnedSemaphorePermit,
-) -> WatchStream {
+) -> Result<WatchStream, Status> {
+    let invalid = |why: String, field: &str| Refusal::ArgumentInvalid {
+        what: "Watch".into(),
+        why,
+        field: field.into(),
+    };
+    let size = request
+        .page_size
+        .try_into()
+        .map_err(|_| refuse(invalid("it is negative; 0 means each in one message".into(), "page_size")))?;
+    let seen = match request.after.as_str() {
+        "" => None,
+        cursor => gcm.history().seen(cursor).map_err(|_| {
+            let why = format!("{cursor:?} is no cursor: give that of an answer of Watch or List, or none");
+            refuse(invalid(why, "after"))
+        })?,
+    };
     let (tell, told) = mpsc::channel(4);
+    let history = gcm.history().clone();
+    let watcher = Watcher { graphs: gcm.watch(), history, term: gcm.term(), size, tell };
     tokio::spawn(async move {
         let _held = held;
-        let mut seen = graphs.borrow_and_update().clone();
-        if from == 0 || from != seen.revision {
-            for news in snapshots(&seen, size) {
-                if tell.send(Ok(message(&seen, term, news))).await.is_err() {
-                    return;
-                }
-            }
-        }
-        loop {
-            tokio::select! {
-                () = tell.closed() => return,
-                changed = graphs.changed() => if changed.is_err() { return },
-            }
-            let now = graphs.borrow_and_update().clone();
-            // The revision reports an accepted change even when the news of it came before.
-            let changed = delta(&seen, &now);
-            if changed.is_some() || now.revision != seen.revision {
-                for delta in page::deltas(changed.unwrap_or_default(), size) {
-                    if tell.send(Ok(message(&now, term, News::Delta(delta)))).await.is_err() {
-                        return;
-                    }
-                }
-            }
-            seen = now;
-        }
+        watcher.run(seen).await;
     });
-    Box::pin(ReceiverStream::new(told))
+    Ok(Box::pin(ReceiverStream::new(told)))
 }
 
-fn message(graph: &SystemGraph, term: u64, news: News) -> v1::WatchResponse {
-    v1::WatchResponse { revision: graph.revision, term, news: Some(news) }
+impl Watcher {
+    async fn run(mut self, mut seen: Option<u64>) {
+        let (mut revision, mut is_first) = (0, true);
+        loop {
+            let now = self.graphs.borrow_and_update().clone();
+            let told = match seen.and_then(|seen| self.history.since(seen, &now)) {
+                // The revision reports an accepted change even when the news of it came before.
+                Some(touched) if is_first || !touched.is_empty() || now.revision != revision => {
+                    self.say(&now, page::deltas(delta(&now, &touched), self.size), News::Delta).await
+                }
+                Some(_) => Ok(()),
+                None => self.say(&now, page::snapshots(whole(&now), self.size), News::Snapshot).await,
+            };
+            if told.is_err() {
+                return;
+            }
+            (seen, revision, is_first) = (Some(now.seen), now.revision, false);
+            drop(now);
+            tokio::select! {
+                () = self.tell.closed() => return,
+                changed = self.graphs.changed() => if changed.is_err() { return },
+            }
+        }
+    }
+
+    /// # Errors
+    /// Nobody reads any more.
+    async fn say<T>(
+        &self,
+        graph: &SystemGraph,
+        pages: Vec<T>,
+        news: impl Fn(T) -> News,
+    ) -> Result<(), mpsc::error::SendError<Result<v1::WatchResponse, Status>>> {
+        let last = pages.len().saturating_sub(1);
+        for (at, page) in pages.into_iter().enumerate() {
+            let cursor = if at == last { self.history.cursor(graph) } else { String::new() };
+            let message = v1::WatchResponse {
+                revision: graph.revision,
+                term: self.term,
+                news: Some(news(page)),
+                cursor,
+            };
+            self.tell.send(Ok(message)).await?;
+        }
+        Ok(())
+    }
 }
 
-fn snapshots(graph: &SystemGraph, size: usize) -> impl Iterator<Item = News> {
+fn whole(graph: &SystemGraph) -> v1::Snapshot {
     let list = convert::list(graph, graph, 0, &convert::Figures::default());
-    let whole = v1::Snapshot {
+    v1::Snapshot {
         processes: list.processes,
         components: list.components,
         connections: list.connections,
         more: false,
-    };
-    page::snapshots(whole, size).into_iter().map(News::Snapshot)
+    }
 }
 
-fn delta(before: &SystemGraph, after: &SystemGraph) -> Option<v1::Delta> {
-    let (p, c, l) = (&after.processes, &after.components, &after.connections);
-    let delta = v1::Delta {
-        processes: changed(&before.processes, p).map(|(n, p)| convert::process(n, p)).collect(),
-        components: changed(&before.components, c).map(|(id, c)| convert::component(id, c, None)).collect(),
-        connections: connections(before, after).map(|c| convert::connection(after, c, None)).collect(),
-        removed_processes: removed(&before.processes, p).map(ToString::to_string).collect(),
-        removed_components: removed(&before.components, c).map(ToString::to_string).collect(),
-        removed_connections: removed(&before.connections, l).map(|id| id.0).collect(),
+fn delta(graph: &SystemGraph, touched: &Touched) -> v1::Delta {
+    let (processes, removed_processes) = parted(&touched.processes, |name| graph.processes.get(name));
+    let (components, removed_components) = parted(&touched.components, |id| graph.components.get(id));
+    let (connections, removed_connections) = parted(&touched.connections, |id| graph.connections.get(id));
+    v1::Delta {
+        processes: processes.into_iter().map(|(name, p)| convert::process(name, p)).collect(),
+        components: components.into_iter().map(|(id, c)| convert::component(id, c, None)).collect(),
+        connections: connections.into_iter().map(|(_, c)| convert::connection(graph, c, None)).collect(),
+        removed_processes: removed_processes.into_iter().map(ToString::to_string).collect(),
+        removed_components: removed_components.into_iter().map(ToString::to_string).collect(),
+        removed_connections: removed_connections.into_iter().map(|id| id.0).collect(),
         more: false,
-    };
-    (delta != v1::Delta::default()).then_some(delta)
+    }
 }
 
-/// Returns the connections that changed, or whose halves changed.
-fn connections<'a>(before: &'a SystemGraph, after: &'a SystemGraph) -> impl Iterator<Item = &'a Connection> {
-    let same = |c: &&Connection| {
-        before.connections.get(&c.id) == Some(c) && before.proxies_of(c) == after.proxies_of(c)
-    };
-    after.connections.values().filter(move |c| !same(c))
-}
-
-fn changed<'a, K: Ord, V: PartialEq>(
-    before: &'a BTreeMap<K, V>,
-    after: &'a BTreeMap<K, V>,
-) -> impl Iterator<Item = (&'a K, &'a V)> {
-    after.iter().filter(|(k, v)| before.get(k) != Some(v))
-}
-
-fn removed<'a, K: Ord, V>(
-    before: &'a BTreeMap<K, V>,
-    after: &'a BTreeMap<K, V>,
-) -> impl Iterator<Item = &'a K> {
-    before.keys().filter(|k| !after.contains_key(k))
+/// Parts what was touched into what is there and what is gone.
+fn parted<'a, K, V>(
+    touched: &'a BTreeSet<K>,
+    get: impl Fn(&K) -> Option<&'a V>,
+) -> (Vec<(&'a K, &'a V)>, Vec<&'a K>) {
+    let (mut there, mut gone) = (Vec::new(), Vec::new());
+    for key in touched {
+        match get(key) {
+            Some(value) => there.push((key, value)),
+            None => gone.push(key),
+        }
+    }
+    (there, gone)
 }

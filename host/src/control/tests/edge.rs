@@ -174,7 +174,7 @@ async fn a_watcher_gets_its_snapshot_and_its_deltas_in_pages_if_it_asks_for_them
         gcm.create(create(&format!("host/{name}"))).await.unwrap();
     }
     let mut watch =
-        gcm.watch(v1::WatchRequest { from_revision: 0, page_size: 2 }).await.unwrap().into_inner();
+        gcm.watch(v1::WatchRequest { page_size: 2, ..Default::default() }).await.unwrap().into_inner();
     let mut components = Vec::new();
     loop {
         let Some(News::Snapshot(page)) = watch.message().await.unwrap().unwrap().news else {
@@ -192,8 +192,47 @@ async fn a_watcher_gets_its_snapshot_and_its_deltas_in_pages_if_it_asks_for_them
         panic!("then what changes")
     };
     assert_eq!((delta.removed_components, delta.more), (vec!["host/b".to_owned()], false));
-    let refused = gcm.watch(v1::WatchRequest { from_revision: 0, page_size: -1 }).await;
+    let refused = gcm.watch(v1::WatchRequest { page_size: -1, ..Default::default() }).await;
     assert_eq!(refused.expect_err("no such size").code(), Code::InvalidArgument);
+}
+
+#[tokio::test]
+async fn a_watcher_that_comes_back_goes_on_where_it_was() {
+    use v1::watch_response::News;
+    let s = System::start().await;
+    let mut gcm = s.gcm();
+    gcm.create(create("host/a")).await.unwrap();
+    let first = async |after: &str| {
+        let ask = v1::WatchRequest { after: after.into(), ..Default::default() };
+        let mut watch = s.gcm().watch(ask).await.unwrap().into_inner();
+        watch.message().await.unwrap().unwrap()
+    };
+    let listed = gcm.list(v1::ListRequest::default()).await.unwrap().into_inner();
+    let all = first("").await;
+    assert!(matches!(&all.news, Some(News::Snapshot(all)) if all.components.len() == 1), "{all:?}");
+    assert_eq!(all.cursor, listed.cursor, "a place has one name, whoever tells it");
+
+    let same = first(&all.cursor).await;
+    assert_eq!(same.news, Some(News::Delta(v1::Delta::default())), "it is told at once that nothing changed");
+    gcm.create(create("host/b")).await.unwrap();
+    gcm.start(start("host/b")).await.unwrap();
+    gcm.remove(v1::RemoveRequest { path: "host/a".into(), ..Default::default() }).await.unwrap();
+    let Some(News::Delta(delta)) = first(&listed.cursor).await.news else { panic!("only what has changed") };
+    assert_eq!(delta.removed_components, ["host/a"]);
+    let paths: Vec<_> = delta.components.iter().map(|c| (c.path.as_str(), c.state())).collect();
+    assert_eq!(paths, [("host/b", v1::ComponentState::Active)], "as it is now, and once");
+
+    // Another GCM's place says nothing here; what is none is refused.
+    let other = System::start().await;
+    let listed = other.gcm().list(v1::ListRequest::default()).await.unwrap().into_inner();
+    let anew = first(&listed.cursor).await;
+    assert!(matches!(&anew.news, Some(News::Snapshot(all)) if all.components.len() == 1), "{anew:?}");
+    for after in ["7", "x-1", "12-", "-", "é"] {
+        let ask = v1::WatchRequest { after: after.into(), ..Default::default() };
+        let refused = s.gcm().watch(ask).await.expect_err(after);
+        assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
+        assert!(refused.message().contains("is no cursor: give that of an answer"), "{refused}");
+    }
 }
 
 #[tokio::test]
@@ -286,7 +325,7 @@ async fn a_port_lets_so_much_be_followed_and_no_more_until_somebody_ends() {
 #[tokio::test]
 async fn a_port_serves_so_many_watches_and_no_more_until_one_ends() {
     let s = System::start().await;
-    let from_now = || v1::WatchRequest { from_revision: 0, page_size: 0 };
+    let from_now = v1::WatchRequest::default;
     // A further connection is needed when all possible Watches take the streams of the first.
     let mut other = GcmServiceClient::new(connect(&s.server).await);
     let mut open = Vec::new();

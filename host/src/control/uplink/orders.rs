@@ -323,7 +323,10 @@ async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refus
         O::Read(r) => {
             A::Sample(convert::sample(lcm.read(r.path, convert::when(r.row), r.frame, deadline).await?))
         }
-        O::Detail(path) => A::Detail(convert::stats(&lcm.detail(ComponentId::parse(&path)?).await?)),
+        O::Details(order) => {
+            let ids = order.paths.iter().map(|path| ComponentId::parse(path)).collect::<Result<_, _>>()?;
+            A::Details(convert::details(lcm.details(ids).await?))
+        }
         O::Links(_) => {
             A::Links(v1::Links { links: lcm.links().await?.into_iter().map(convert::link).collect() })
         }

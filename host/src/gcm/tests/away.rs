@@ -101,7 +101,7 @@ async fn one_that_was_only_away_is_listed_again_with_what_it_has() {
     let back = Registration { slice: Slice { components, ..Slice::default() }, ..who("far") };
     register(&gcm, back, its).await.unwrap();
     assert_eq!(gcm.graph().processes[&name("far")].state, ProcessState::Attached);
-    assert!(gcm.graph().components.contains_key(&id("far/b")), "{:?}", gcm.graph().components.keys());
+    assert!(gcm.graph().components.contains_key(&id("far/b")), "{:?}", gcm.graph().components);
 }
 
 #[tokio::test]

@@ -63,7 +63,7 @@ async fn a_component_of_a_process_that_is_not_known_yet_is_removed_when_that_has
     let (earlier, its) = (Gcm::start(GcmConfig::default()).await.unwrap(), FakeLcm::new("far"));
     register(&earlier, remote(), its.clone()).await.unwrap();
     ask(&earlier, vec![create("far/rec")]).await.unwrap();
-    let components = earlier.graph().components.clone().into_iter().collect();
+    let components = earlier.graph().components.iter().map(|(id, c)| (id.clone(), c.clone())).collect();
 
     let (gcm, _lcm) = system().await;
     let ending = tokio::spawn(hold(&gcm, "far/rec").end());

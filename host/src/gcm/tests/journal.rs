@@ -314,7 +314,7 @@ fn desired(graph: &SystemGraph) -> Wanted {
     Wanted {
         revision: graph.revision,
         components: graph.components.iter().map(|(id, c)| (id.clone(), wanted(c))).collect(),
-        connections: graph.connections.clone(),
+        connections: graph.connections.iter().map(|(id, c)| (*id, c.clone())).collect(),
         ..Wanted::default()
     }
 }

@@ -30,6 +30,8 @@ class System {
   onRenewed: (path: string) => void = () => {};
 
   #stop: AbortController | null = null;
+  /// Where the last message ended.
+  #cursor = '';
 
   /// Follows until `pause` is called.
   async follow() {
@@ -37,13 +39,17 @@ class System {
     const stop = (this.#stop = new AbortController());
     while (!stop.signal.aborted) {
       try {
-        for await (const news of gcm.watch({}, { signal: stop.signal })) {
+        let returned = this.#cursor !== '';
+        for await (const news of gcm.watch({ after: this.#cursor }, { signal: stop.signal })) {
           if (this.standing === 'away') this.returns += 1;
           this.standing = 'live';
+          // Of several pages the last one has it.
+          this.#cursor = news.cursor;
           this.revision = news.revision;
           this.term = news.term;
           if (news.news.case === 'snapshot') this.#snapshot(news.news.value);
-          else if (news.news.case === 'delta') this.#delta(news.news.value);
+          else if (news.news.case === 'delta') this.#delta(news.news.value, returned);
+          returned = false;
         }
         if (!stop.signal.aborted) this.#away('it ended the call');
       } catch (error) {
@@ -79,7 +85,8 @@ class System {
     this.shape += 1;
   }
 
-  #delta(delta: Delta) {
+  /// `returned`: it is the first one after an absence, and what it tells happened at some time in it.
+  #delta(delta: Delta, returned: boolean) {
     let reshaped = false;
     for (const name of delta.removedProcesses) reshaped = this.#gone(name) || reshaped;
     for (const path of delta.removedComponents) reshaped = this.components.delete(path) || reshaped;
@@ -88,7 +95,10 @@ class System {
     reshaped ||= delta.components.some((c) => !this.components.has(c.path));
     const before = new Map(delta.processes.map((p) => [p.name, this.processes.get(p.name)]));
     const stood = new Map(delta.components.map((c) => [c.path, this.components.get(c.path)?.state]));
-    for (const p of delta.processes) if (this.#isNews(p)) this.since.set(p.name, Date.now());
+    for (const p of delta.processes.filter((p) => this.#isNews(p))) {
+      if (returned) this.since.delete(p.name);
+      else this.since.set(p.name, Date.now());
+    }
     this.#take(delta.processes, delta.components, delta.connections);
     for (const p of delta.processes) {
       const old = before.get(p.name);
@@ -97,6 +107,8 @@ class System {
       }
     }
     for (const c of delta.components) if (stood.get(c.path) !== c.state) this.onRenewed(c.path);
+    // Whoever followed a component was cut off, too.
+    if (returned) for (const path of this.components.keys()) this.onRenewed(path);
     if (reshaped) this.shape += 1;
   }
 

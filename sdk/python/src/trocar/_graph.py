@@ -1,6 +1,7 @@
 """The system as it is: processes, components and connections by Watch, what each offers by Describe, kept until it changes.
 
-Invariant: the copy is replaced by each snapshot and changed by each delta; nothing here asks twice what did not change.
+Invariant: the copy is replaced by each snapshot and changed by each delta, from where the one before ended; nothing here asks twice
+what did not change.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ class Graph:
         self.connected = False
         self.changes = 0
         self._described: dict[str, Any] = {}
+        self._cursor = ""
         self._closing = threading.Event()
         self._call: Any = None
 
@@ -73,7 +75,7 @@ class Graph:
             self._closing.wait(wait)
             wait = min(wait * 2, 0.5)
             try:
-                self._call = self._wire.stream("GcmService/Watch", _Watch())
+                self._call = self._wire.stream("GcmService/Watch", _Watch(after=self._cursor))
             except TrocarError:
                 return
 
@@ -98,7 +100,7 @@ class Graph:
                     self.connections.pop(number, None)
                 for path in [*(c.path for c in d.components), *d.removed_components]:
                     self._described.pop(path, None)
-            self.revision, self.term = message.revision, message.term
+            self.revision, self.term, self._cursor = message.revision, message.term, message.cursor
             self.changes += 1
             self._lock.notify_all()
 
