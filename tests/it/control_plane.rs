@@ -204,6 +204,33 @@ fn watch_sends_a_snapshot_and_then_each_change() {
 }
 
 #[test]
+fn a_watch_goes_on_where_a_list_or_another_watch_ended() {
+    let (_world, _host, grpc) = host_with(&["sine"]);
+    grpc.await_class("host", "sine");
+    let listed = grpc.ok("GcmService/List", json!({ "brief": true }));
+    grpc.create("host/s", "sine", json!({}));
+    grpc.create("host/gone", "sine", json!({}));
+    grpc.start("host/s");
+    grpc.ok("GcmService/Remove", json!({ "path": "host/gone" }));
+    let first = |after: &Value| {
+        let mut watch = grpc.stream("GcmService/Watch", &json!({ "after": after }));
+        watch.until("the first message", |_| true)
+    };
+    let missed = first(&listed["cursor"]);
+    let components = missed["delta"]["components"].as_array();
+    let [s] = &components.expect("only what has changed")[..] else { panic!("one is there: {missed}") };
+    assert_eq!((&s["path"], &s["state"]), (&json!("host/s"), &json!("COMPONENT_STATE_ACTIVE")), "{missed}");
+    let again = first(&missed["cursor"]);
+    assert_eq!(again["delta"]["components"], json!([]), "nothing has changed since: {again}");
+    let refused = grpc.refused("GcmService/Watch", json!({ "after": "yesterday" }));
+    assert_eq!(refused.reason, "ARGUMENT_INVALID");
+    assert!(
+        refused.message.contains("\"yesterday\" is no cursor: give that of an answer of Watch or List"),
+        "{refused:?}"
+    );
+}
+
+#[test]
 fn subscribe_follows_outputs_at_the_rate_asked_for() {
     let (_world, _host, grpc) = host_with(&["sine"]);
     grpc.await_class("host", "sine");
