@@ -93,7 +93,8 @@ impl Gcm {
         self.put_down(options, asked, changed).await
     }
 
-    /// Puts on record what became of a request, and waits for that where it has changed something.
+    /// Puts on record what became of a request, and waits for that where it has changed something. Where it
+    /// has not, waits for the changes that the answer rests on.
     pub(super) async fn put_down(
         &self,
         options: &ExecuteOptions,
@@ -110,10 +111,14 @@ impl Gcm {
         audit::write(asked, &answer);
         match record {
             Some(record) => self.inner.ledger.durable(record).await,
-            // Nobody waits for the record that nothing has changed.
+            // Nobody waits for the record that nothing has changed, but for the changes that are the
+            // reason: a GCM that ends before those are on record leaves a system in which the answer was
+            // never right.
             None => {
+                let rests_on = self.inner.ledger.last_change();
                 let request = Some((asked.clone(), answer.clone()));
                 self.inner.ledger.enter(|_| (Entry::Noted, request));
+                self.inner.ledger.durable(rests_on).await;
             }
         }
         answer

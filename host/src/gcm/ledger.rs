@@ -73,6 +73,8 @@ struct Held {
     weight: usize,
     /// Number of the last record.
     last: u64,
+    /// Number of the last record that changes what is wanted.
+    changed: u64,
     /// Number of records that had to go before a store took them, since it last took some.
     dropped: u64,
 }
@@ -125,6 +127,9 @@ impl Ledger {
         held.wanted.on(&entry);
         held.wanted.term = self.term;
         held.last += 1;
+        if entry != Entry::Noted {
+            held.changed = held.last;
+        }
         let bell = self.bell.lock();
         let Some(bell) = &*bell else { return held.last };
         let (asked, answer) = request.unzip();
@@ -151,6 +156,12 @@ impl Ledger {
     /// Returns the number of the last record.
     pub(super) fn last(&self) -> u64 {
         self.held.lock().last
+    }
+
+    /// Returns the number of the last record that an answer may rest on: what it changes can be seen before
+    /// it is durable.
+    pub(super) fn last_change(&self) -> u64 {
+        self.held.lock().changed
     }
 
     /// Returns how the journal stands, now and later.

@@ -16,6 +16,7 @@ mod phases;
 mod ports;
 mod restarted;
 mod stopping;
+mod undecided;
 
 use std::future::{Future, ready};
 use std::pin::Pin;

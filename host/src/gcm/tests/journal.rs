@@ -10,21 +10,21 @@ use super::super::{Standing, StartError, Told, Unusable};
 use super::kept::Kept;
 use super::*;
 
-const STOPPED: State = State::Stopped(StopReason::Requested);
+pub(super) const STOPPED: State = State::Stopped(StopReason::Requested);
 
-async fn gcm_with(store: &Kept) -> Gcm {
+pub(super) async fn gcm_with(store: &Kept) -> Gcm {
     Gcm::resume(GcmConfig::default(), Box::new(store.clone())).await.unwrap()
 }
 
 /// Lets every task that has something to do come to its next wait.
-async fn all_run() {
+pub(super) async fn all_run() {
     for _ in 0..100 {
         tokio::task::yield_now().await;
     }
 }
 
 /// The GCM after one that ended in the middle of a request.
-async fn ended_within<T>(asking: tokio::task::JoinHandle<T>, first: Gcm, store: &Kept) -> Gcm {
+pub(super) async fn ended_within<T>(asking: tokio::task::JoinHandle<T>, first: Gcm, store: &Kept) -> Gcm {
     asking.abort();
     // It was aborted.
     let _ = asking.await;
@@ -33,13 +33,13 @@ async fn ended_within<T>(asking: tokio::task::JoinHandle<T>, first: Gcm, store: 
 }
 
 /// A process and everything that it brings along when it comes back.
-struct Process {
-    lcm: Arc<FakeLcm>,
+pub(super) struct Process {
+    pub(super) lcm: Arc<FakeLcm>,
     who: Registration,
 }
 
 impl Process {
-    async fn come(gcm: &Gcm, name_of: &str) -> Process {
+    pub(super) async fn come(gcm: &Gcm, name_of: &str) -> Process {
         let (lcm, who) = (FakeLcm::new(name_of), Registration::new(name(name_of), String::new()));
         let mut process = Process { lcm, who };
         process.is_back(gcm).await;
@@ -47,14 +47,14 @@ impl Process {
     }
 
     /// Comes to a GCM as it is.
-    async fn is_back(&mut self, gcm: &Gcm) -> Registered {
+    pub(super) async fn is_back(&mut self, gcm: &Gcm) -> Registered {
         let registered = register(gcm, self.who.clone(), self.lcm.clone()).await.unwrap();
         self.who.epoch = registered.epoch;
         registered
     }
 
     /// Notes all that it was told to have, as an uplink does, and the revision.
-    fn was_told(&mut self, graph: &SystemGraph) {
+    pub(super) fn was_told(&mut self, graph: &SystemGraph) {
         let mine = graph.components.iter().filter(|(id, _)| id.process == self.who.process);
         let components = mine.map(|(id, component)| (id.clone(), component.clone())).collect();
         let wires = graph.connections.values().filter(|c| c.ends_in(&self.who.process));
@@ -71,7 +71,7 @@ fn with_id(id: &str) -> ExecuteOptions {
     ExecuteOptions { request_id: id.into(), identity: "somebody".into(), ..ExecuteOptions::default() }
 }
 
-fn shown(graph: &SystemGraph) -> Vec<String> {
+pub(super) fn shown(graph: &SystemGraph) -> Vec<String> {
     graph.components.iter().map(|(id, c)| format!("{id} {} {:?}", c.state, c.health)).collect()
 }
 
