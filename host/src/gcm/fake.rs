@@ -184,6 +184,11 @@ pub(crate) fn class() -> Arc<ClassInfo> {
     })
 }
 
+/// The same as something that moves nothing.
+fn camera() -> Arc<ClassInfo> {
+    Arc::new(ClassInfo { name: "cam".into(), safety: Safety::Sensor, ..ClassInfo::clone(&class()) })
+}
+
 impl FakeLcm {
     pub(crate) fn new(process: &str) -> Arc<FakeLcm> {
         Arc::new(FakeLcm {
@@ -545,7 +550,7 @@ impl Lcm for FakeLcm {
                 layout: LAYOUT,
             }),
             components: states.iter().map(|(id, s)| report(id, *s)).collect(),
-            classes: vec![class()],
+            classes: vec![class(), camera()],
             halves: self.halves.lock().values().cloned().collect(),
             warnings: Warnings::default(),
             decision: self.stops.lock().iter().map(|(_, decision)| *decision).max().unwrap_or_default(),

@@ -1,7 +1,8 @@
 //! Makes a process that came back have what is wanted of it, and nothing else: what a request had begun there
 //! that was never decided is taken away again.
 //!
-//! Invariant: nothing is set in motion; what requests under way have done is left to them until they end.
+//! Invariant: no actuator is set in motion, and nothing else that was not in motion by a grant that still
+//! counts; what requests under way have done is left to them until they end.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use trocar_model::{
     Plan, Ports, Programs, Refusal, Request, Safety, State, StopReason, SystemGraph, Target, Verb,
 };
 
+use super::carrying::Carrying;
 use super::claims::Planned;
 use super::observed::After;
 use super::sessions::{Registration, Slice};
@@ -93,7 +95,15 @@ impl Look<'_> {
                 wires.push(Change::Connect { connection: connection.clone() });
             }
         }
-        stops.into_iter().chain(rest).chain(wires).chain(destroyed).collect()
+        let again = mine.iter().filter(|report| goes_on(self.graph, self.granted, report));
+        let again = again.filter(|report| !gone.contains(&report.id));
+        let again = again.map(|report| Change::Run {
+            id: report.id.clone(),
+            verb: Verb::Resume,
+            from: report.state,
+            to: State::Active,
+        });
+        stops.into_iter().chain(rest).chain(wires).chain(destroyed).chain(again).collect()
     }
 
     /// Tells whether a component is none that is wanted: unknown, of another class, or on another thread.
@@ -126,6 +136,14 @@ impl Look<'_> {
     }
 }
 
+/// Tells whether a component goes on by the grant that it has: a request that was never decided has stopped
+/// it, and it moves nothing. A Stop that was not recorded has left its latch in the process, which holds that
+/// off.
+fn goes_on(graph: &SystemGraph, granted: &BTreeSet<ComponentId>, report: &Report) -> bool {
+    let moves_nothing = graph.components.get(&report.id).is_some_and(|c| c.class.safety != Safety::Actuator);
+    moves_nothing && granted.contains(&report.id) && report.state == State::Stopped(StopReason::Requested)
+}
+
 /// Returns the components that may run and stand still: what brought them to rest was never decided, and they
 /// go on by another grant alone. `is_whole`: nothing is made and started there again.
 pub(super) fn rests(
@@ -140,10 +158,14 @@ pub(super) fn rests(
     let rests =
         has.iter().filter(|report| granted.contains(&report.id)).filter(|report| match report.state {
             State::Active | State::Fault => false,
-            State::Stopped(_) => true,
+            State::Stopped(_) => !goes_on(graph, granted, report),
             State::Created | State::Ready => is_whole || moves(&report.id),
         });
     rests.map(|report| After::Rests(report.id.clone(), report.state)).collect()
+}
+
+fn is_start(change: &Change) -> bool {
+    matches!(change, Change::Run { to: State::Active, .. })
 }
 
 /// Stands for a component of which its name alone is known.
@@ -237,18 +259,25 @@ impl Gcm {
             if amends.is_empty() {
                 return Some(has);
             }
+            let carrying = Carrying::begin(self, claim);
             for change in amends {
                 if !self.hears(process, session) {
                     return None;
                 }
                 log::warn!("{}: process {process} has it otherwise than was decided", text::line(&change));
-                match self.amend(&*lcm, (process, session), &change).await {
+                let amended = match &change {
+                    Change::Run { id, to: State::Active, .. } => self.again(&carrying, id, &change).await,
+                    _ => self.amend(&*lcm, (process, session), &change).await,
+                };
+                match amended {
                     Ok(()) => note(&mut slice, &change),
+                    Err(_) if !self.hears(process, session) => return None,
+                    Err(refusal) if is_start(&change) => self.rests_all_the_same(&change, &refusal),
                     Err(refusal) if time == TIMES => self.not_amended(&change, &refusal),
                     Err(refusal) => log::warn!("{}: {refusal}", text::line(&change)),
                 }
             }
-            drop(claim);
+            drop(carrying);
             if time < TIMES {
                 tokio::time::sleep(AGAIN * (time - 1)).await;
             }
@@ -282,13 +311,30 @@ impl Gcm {
         match self.in_time(process, &text::asked(change), deadline, done).await {
             Ok(report) => {
                 self.enter_states(process, Some(session), &[&report]);
-                if matches!(change, Change::Run { .. }) {
+                // One that is stopped for its settings goes on with those that it is to have.
+                let granted = self.granted(process);
+                if matches!(change, Change::Run { .. }) && !goes_on(&self.graph(), &granted, &report) {
                     self.cut_off(vec![After::Rests(report.id, report.state)]);
                 }
                 Ok(())
             }
             Err(Refusal::ConnectionNotFound { .. } | Refusal::ComponentNotFound { .. }) => Ok(()),
             Err(refusal) => Err(refusal),
+        }
+    }
+
+    /// Has a component go on by the decision of its grant: a Stop that came since holds it off.
+    async fn again(&self, carrying: &Carrying<'_>, id: &ComponentId, change: &Change) -> Result<(), Refusal> {
+        let Some(granted) = self.granted_by(id) else { return Ok(()) };
+        let deadline = clock::now() + self.inner.each_change;
+        carrying.one_of(change, granted, deadline).await.map(|_| ())
+    }
+
+    /// Puts on record that a component stands still which could not go on.
+    fn rests_all_the_same(&self, change: &Change, refusal: &Refusal) {
+        log::warn!("{}: {refusal}", text::line(change));
+        if let Change::Run { id, from, .. } = change {
+            self.cut_off(vec![After::Rests(id.clone(), *from)]);
         }
     }
 

@@ -1,9 +1,15 @@
 //! What was done and never decided when its GCM ended: nobody was told of it, and nothing of it stays.
 
-use super::super::Standing;
-use super::journal::{Process, all_run, gcm_with};
+use trocar_model::Request;
+
+use super::super::{Standing, Unusable};
+use super::journal::{Process, STOPPED, all_run, ended_within, gcm_with, shown};
 use super::kept::Kept;
 use super::*;
+
+fn create_cam(path: &str) -> Request {
+    Request::Create { id: id(path), class: "cam".into(), config: None, execution: Execution::default() }
+}
 
 #[tokio::test]
 async fn a_refusal_is_told_when_what_it_rests_on_is_on_record() {
@@ -29,4 +35,66 @@ async fn a_refusal_is_told_when_what_it_rests_on_is_on_record() {
     store.0.lock().hangs = Some(hangs);
     assert_eq!(ask(&gcm, vec![create("host/a")]).await.unwrap_err().reason(), "COMPONENT_EXISTS");
     assert_eq!(*gcm.journal().borrow(), Standing::Written);
+}
+
+/// A GCM with an actuator and a camera that run.
+async fn running(store: &Kept) -> (Gcm, Process) {
+    let gcm = gcm_with(store).await;
+    let host = Process::come(&gcm, "host").await;
+    ask(&gcm, vec![create("host/arm"), create_cam("host/cam"), start("host/*")]).await.unwrap();
+    gcm.flush().await;
+    (gcm, host)
+}
+
+#[tokio::test]
+async fn what_was_stopped_by_a_request_that_was_not_decided_goes_on_unless_it_moves_something() {
+    let store = Kept::default();
+    let (first, mut host) = running(&store).await;
+    host.lcm.hold("Create host/new");
+    let asking = tokio::spawn({
+        let first = first.clone();
+        async move { ask(&first, vec![stop("host/cam"), stop("host/arm"), create("host/new")]).await }
+    });
+    host.lcm.hangs("Create host/new").await;
+    assert_eq!((host.lcm.state("host/cam"), host.lcm.state("host/arm")), (Some(STOPPED), Some(STOPPED)));
+    host.was_told(&first.graph());
+    let second = ended_within(asking, first, &store).await;
+    host.lcm.release("Create host/new");
+    host.is_back(&second).await;
+    let goes_on = |graph: &SystemGraph| component(graph, "host/cam").state == State::Active;
+    until(&second, "the camera goes on", goes_on).await;
+    all_run().await;
+    assert_eq!(host.lcm.state("host/arm"), Some(STOPPED));
+    let done = host.lcm.done();
+    assert!(!done.contains(&"Resume host/arm".to_owned()), "{done:?}");
+    assert_eq!(done.iter().filter(|d| *d == "Resume host/cam").count(), 1, "{done:?}");
+    second.flush().await;
+    let wanted = store.wanted();
+    let granted = |path: &str| wanted.components[&id(path)].grant.is_some();
+    assert_eq!((granted("host/cam"), granted("host/arm")), (true, false));
+}
+
+#[tokio::test]
+async fn what_a_stop_has_stopped_stands_still_although_that_was_lost_with_the_record() {
+    let store = Kept::default();
+    let (first, mut host) = running(&store).await;
+    store.fail(Some(Unusable::Now));
+    ask(&first, vec![stop("host/cam")]).await.unwrap();
+    host.was_told(&first.graph());
+    drop(first);
+    store.fail(None);
+    let second = gcm_with(&store).await;
+    assert_eq!(
+        shown(&second.graph()),
+        ["host/arm ACTIVE Lost", "host/cam ACTIVE Lost"],
+        "it knows of no Stop"
+    );
+    host.is_back(&second).await;
+    let stopped = |graph: &SystemGraph| component(graph, "host/cam").state == STOPPED;
+    until(&second, "it is seen", stopped).await;
+    all_run().await;
+    second.flush().await;
+    assert_eq!(host.lcm.state("host/cam"), Some(STOPPED), "{:?}", host.lcm.done());
+    assert!(store.wanted().components[&id("host/cam")].grant.is_none(), "it goes on by another grant alone");
+    assert_eq!(host.lcm.state("host/arm"), Some(State::Active));
 }
