@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use trocar_lcm_api::{Decision, Order, Report, clock};
 use trocar_model::{
-    Change, ComponentId, Entry, Health, Plan, Refusal, Request, Safety, State, StopReason, SystemGraph,
-    Target, Verb, allowed, inverse,
+    Change, Component, ComponentId, Entry, Health, Plan, Refusal, Request, Safety, State, StopReason,
+    SystemGraph, Target, Verb, allowed, inverse,
 };
 
 use super::answer::Executed;
@@ -209,16 +209,27 @@ impl<'a> Carrying<'a> {
 }
 
 impl Gcm {
-    /// Takes a change back in the graph alone.
+    /// Takes a change back in the graph alone. What was taken away, or stopped, is to stand as was decided
+    /// when its process is made again.
     fn taken_back(&self, undo: &Change) {
+        let goes_on = match undo {
+            Change::Run { to, .. } => *to == State::Active,
+            _ => false,
+        };
         // Its process tells how a component stands.
-        if matches!(undo, Change::Run { .. }) {
+        if matches!(undo, Change::Run { .. }) && !goes_on {
             return;
         }
+        let id = id_of(undo);
+        let decided = self.inner.ledger.wanted().components.get(id).map(|wanted| wanted.state);
         self.edit(|graph| {
-            let known = graph.components.get(id_of(undo)).cloned();
+            let known = graph.components.get(id).cloned();
             graph.carry_out(undo);
-            stand_by(graph, id_of(undo), known);
+            let is_decided = known.is_none() || goes_on;
+            let as_decided =
+                |state| Some(Component { state, health: Health::Lost, ..graph.components.get(id)?.clone() });
+            let stands = decided.filter(|_| is_decided).and_then(as_decided);
+            stand_by(graph, id, stands.or(known));
         });
     }
 

@@ -98,3 +98,32 @@ async fn what_a_stop_has_stopped_stands_still_although_that_was_lost_with_the_re
     assert!(store.wanted().components[&id("host/cam")].grant.is_none(), "it goes on by another grant alone");
     assert_eq!(host.lcm.state("host/arm"), Some(State::Active));
 }
+
+#[tokio::test]
+async fn what_a_refused_request_had_taken_away_comes_back_when_its_process_is_started_again() {
+    for gone in ["Create host/new", "Remove host/cam"] {
+        let gcm = Gcm::start(GcmConfig::default()).await.unwrap();
+        let host = Process::come(&gcm, "host").await;
+        let session = gcm.inner.sessions.lock().holder(&name("host")).unwrap();
+        ask(&gcm, vec![create("host/arm"), create_cam("host/cam"), start("host/cam")]).await.unwrap();
+        host.lcm.hold(gone);
+        let requests = match gone {
+            "Remove host/cam" => vec![stop("host/cam"), Request::Remove { id: id("host/cam"), force: true }],
+            _ => vec![Request::Remove { id: id("host/cam"), force: true }, create("host/new")],
+        };
+        let asking = tokio::spawn({
+            let gcm = gcm.clone();
+            async move { ask(&gcm, requests).await }
+        });
+        host.lcm.hangs(gone).await;
+        gcm.lost(&name("host"), session);
+        host.lcm.lose_at(gone);
+        host.lcm.release(gone);
+        assert_eq!(asking.await.unwrap().unwrap_err().reason(), "PROCESS_LOST", "{gone}");
+        let again = Process::come(&gcm, "host").await;
+        until(&gcm, "it is whole", |graph| graph.processes[&name("host")].state == ProcessState::Attached)
+            .await;
+        assert_eq!(shown(&gcm.graph()), ["host/arm READY Ok", "host/cam ACTIVE Ok"], "{gone}");
+        assert_eq!(again.lcm.state("host/cam"), Some(State::Active), "{gone}: {:?}", again.lcm.done());
+    }
+}
