@@ -19,7 +19,8 @@ pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> 
         return Err(Refusal::TagMismatch { client: new.client.clone(), server: new.server.clone(), has });
     }
     let others = || graph.connections.values().filter(|c| c.client != new.client);
-    let told = others().filter_map(|c| told(graph, c)).chain(told(graph, new));
+    let tagged = Tagged::of(graph);
+    let told = others().chain([new]).filter(|c| tagged.may_tell(c)).filter_map(|c| told(graph, c));
     let told: Vec<(Tag, &Connection)> = told.collect();
     if told.is_empty() {
         return Ok(());
@@ -35,16 +36,15 @@ pub(super) fn check_tags(graph: &SystemGraph, new: &Connection, link: &Link) -> 
 /// Returns the connections that tags forbid as the ports are now, each with the reason. On a way from the
 /// truth to an actuator it is the connection that tells the truth.
 pub(crate) fn forbidden(graph: &SystemGraph) -> Vec<(ConnectionId, Refusal)> {
-    let mut all = Vec::new();
-    let mut ways = Ways::default();
-    graph.connections.values().for_each(|connection| ways.add(graph, connection, None));
-    for connection in graph.connections.values() {
+    let (mut all, mut ways) = (Vec::new(), None);
+    let tagged = Tagged::of(graph);
+    for connection in graph.connections.values().filter(|c| tagged.may_tell(c) || tagged.is_taken_by(c)) {
         // A connection whose ports are gone is skipped.
         let Ok((takes, has)) = tags(graph, connection) else { continue };
         let (client, server) = (connection.client.clone(), connection.server.clone());
         let judged = match told(graph, connection) {
             _ if takes == Tag::Sim && has != Tag::Sim => Err(Refusal::TagMismatch { client, server, has }),
-            Some((tag, _)) => ways.check(graph, tag, connection),
+            Some((tag, _)) => ways.get_or_insert_with(|| Ways::of(graph)).check(graph, tag, connection),
             None => Ok(()),
         };
         all.extend(judged.err().map(|why| (connection.id, why)));
@@ -62,6 +62,36 @@ fn tags(graph: &SystemGraph, c: &Connection) -> Result<(Tag, Tag), Refusal> {
     })
 }
 
+/// Components with tagged ports. Most systems have few or none, and a large one comes here with each Connect
+/// and each report of ports: what no tag concerns is not looked at.
+struct Tagged<'g> {
+    /// With an output or a provided interface that has a tag.
+    gives: BTreeSet<&'g ComponentId>,
+    /// With an input for simulated data.
+    takes: BTreeSet<&'g ComponentId>,
+}
+
+impl<'g> Tagged<'g> {
+    fn of(graph: &'g SystemGraph) -> Tagged<'g> {
+        let with = |has: fn(&Ports) -> bool| {
+            graph.components.iter().filter(|(_, c)| has(&c.ports)).map(|(id, _)| id).collect()
+        };
+        let gives = |ports: &Ports| {
+            ports.outputs.iter().any(|output| output.tag != Tag::None)
+                || ports.provided.iter().any(|provided| provided.tag != Tag::None)
+        };
+        Tagged { gives: with(gives), takes: with(|ports| ports.inputs.iter().any(|i| i.tag != Tag::None)) }
+    }
+
+    fn may_tell(&self, connection: &Connection) -> bool {
+        !self.gives.is_empty() && self.gives.contains(&connection.server.component)
+    }
+
+    fn is_taken_by(&self, connection: &Connection) -> bool {
+        !self.takes.is_empty() && self.takes.contains(&connection.client.component)
+    }
+}
+
 /// Returns the tagged data this connection tells a client that is no simulated device.
 fn told<'c>(graph: &SystemGraph, c: &'c Connection) -> Option<(Tag, &'c Connection)> {
     let (takes, has) = tags(graph, c).ok()?;
@@ -74,6 +104,12 @@ fn told<'c>(graph: &SystemGraph, c: &'c Connection) -> Option<(Tag, &'c Connecti
 struct Ways(BTreeMap<ComponentId, BTreeSet<ComponentId>>);
 
 impl Ways {
+    fn of(graph: &SystemGraph) -> Ways {
+        let mut ways = Ways::default();
+        graph.connections.values().for_each(|connection| ways.add(graph, connection, None));
+        ways
+    }
+
     fn add(&mut self, graph: &SystemGraph, c: &Connection, link: Option<&Link>) {
         let Some(a) = graph.components.get(&c.client.component) else { return };
         let Some(b) = graph.components.get(&c.server.component) else { return };
