@@ -11,7 +11,9 @@ mod churn;
 mod clock;
 mod files;
 mod invariants;
+mod journal;
 mod json;
+mod linear;
 mod moments;
 mod procfs;
 mod program;
@@ -20,6 +22,7 @@ mod rig;
 mod rows;
 mod rpc;
 mod run;
+mod site;
 mod watching;
 mod world;
 

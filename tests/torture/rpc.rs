@@ -35,12 +35,17 @@ pub(crate) struct Refused {
     pub(crate) code: Code,
     pub(crate) reason: String,
     pub(crate) message: String,
+    /// The component it is about, where it names one.
+    pub(crate) component: String,
 }
 
 impl From<Status> for Refused {
     fn from(status: Status) -> Refused {
-        let reason = status.get_details_error_info().map(|info| info.reason).unwrap_or_default();
-        Refused { code: status.code(), reason, message: status.message().to_owned() }
+        let info = status.get_details_error_info();
+        let component = info.as_ref().and_then(|info| info.metadata.get("component").cloned());
+        let reason = info.map(|info| info.reason).unwrap_or_default();
+        let (message, component) = (status.message().to_owned(), component.unwrap_or_default());
+        Refused { code: status.code(), reason, message, component }
     }
 }
 
@@ -74,7 +79,8 @@ fn heard<T>(what: &str, mut ask: impl FnMut() -> Answer<T>) -> Answer<T> {
         answer => Ok(answer),
     });
     settled.unwrap_or_else(|message| {
-        Err(Refused { code: Code::DeadlineExceeded, reason: String::new(), message })
+        let (reason, component) = (String::new(), String::new());
+        Err(Refused { code: Code::DeadlineExceeded, reason, message, component })
     })
 }
 
@@ -134,6 +140,7 @@ impl Rpc {
                 code: Code::Unavailable,
                 reason: "PROCESS_LOST".into(),
                 message: format!("{path} is listed without figures"),
+                component: path.to_owned(),
             })
         })
     }
@@ -246,8 +253,16 @@ pub(crate) fn state_name(state: ComponentState) -> String {
 
 /// The answer to a call, or that there was none.
 pub(crate) fn done<T>(call: impl Future<Output = Result<Response<T>, Status>>) -> Answer<T> {
-    let late = |_| Status::deadline_exceeded(format!("{NO_ANSWER} within {} s", PATIENCE.as_secs()));
+    done_within(PATIENCE, call)
+}
+
+/// The same of what may take long.
+pub(crate) fn done_within<T>(
+    patience: Duration,
+    call: impl Future<Output = Result<Response<T>, Status>>,
+) -> Answer<T> {
+    let late = |_| Status::deadline_exceeded(format!("{NO_ANSWER} within {} s", patience.as_secs()));
     let answer =
-        runtime().block_on(async { tokio::time::timeout(PATIENCE, call).await.map_err(late).flatten() });
+        runtime().block_on(async { tokio::time::timeout(patience, call).await.map_err(late).flatten() });
     Ok(answer?.into_inner())
 }

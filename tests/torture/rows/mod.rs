@@ -4,14 +4,20 @@
 
 mod components;
 mod crashes;
+mod damage;
 mod data;
+mod deciding;
 mod graph;
 mod machine;
 mod managers;
 mod names;
 mod plugins;
 mod processes;
+mod racing;
+mod requests;
+mod scale;
 mod sizes;
+mod together;
 
 use crate::run::Row;
 
@@ -24,6 +30,12 @@ const GROUPS: &[&[Row]] = &[
     crashes::ROWS,
     plugins::ROWS,
     graph::ROWS,
+    racing::ROWS,
+    deciding::ROWS,
+    requests::ROWS,
+    together::ROWS,
+    scale::ROWS,
+    damage::ROWS,
     data::ROWS,
     sizes::ROWS,
     machine::ROWS,
