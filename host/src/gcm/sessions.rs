@@ -103,13 +103,9 @@ pub(super) struct Sessions {
     reported: BTreeMap<ComponentId, u64>,
 }
 
-/// Stops that could not be told.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Untold {
-    pub(super) targets: BTreeSet<Target>,
-    /// The last of them.
-    pub(super) decision: Decision,
-}
+/// Stops that could not be told: each target with the last decision that named it, by which nothing is
+/// stopped that was started later.
+pub(super) type Untold = BTreeMap<Target, Decision>;
 
 struct Session {
     number: u64,
@@ -188,11 +184,19 @@ impl Sessions {
 
     /// Keeps a Stop that a process could not be told.
     pub(super) fn not_told(&mut self, process: &Name, targets: &[Target], decision: Decision) {
+        let mut mine = targets.iter().filter_map(|target| target.within(process)).peekable();
+        if mine.peek().is_none() {
+            return;
+        }
         let untold = self.untold.entry(process.clone()).or_default();
-        untold.targets.extend(targets.iter().filter_map(|target| target.within(process)));
-        untold.decision = untold.decision.max(decision);
-        if untold.targets.len() > MOST_UNTOLD {
-            untold.targets = Target::everything().within(process).into_iter().collect();
+        for target in mine {
+            let last = untold.entry(target).or_default();
+            *last = decision.max(*last);
+        }
+        if untold.len() > MOST_UNTOLD {
+            let last = untold.values().max().copied().unwrap_or_default();
+            let everything = Target::everything().within(process);
+            *untold = everything.into_iter().map(|target| (target, last)).collect();
         }
     }
 

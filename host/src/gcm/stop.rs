@@ -4,7 +4,7 @@
 //! memory. What was decided before it sets nothing in motion that it names: the LCM holds that off, and this
 //! GCM begins it no more. It is OK only for what stands still.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -313,22 +313,29 @@ impl Gcm {
     }
 
     /// Tells a process, which has come back as it was, the Stops that it could not be told.
-    pub(super) fn tell_untold(&self, process: &Name, Untold { targets, decision }: Untold) {
+    pub(super) fn tell_untold(&self, process: &Name, untold: Untold) {
         log::warn!("process {process} is told the Stops that came while it was away");
-        let targets = Arc::new(targets.into_iter().collect::<Vec<_>>());
+        let mut stops = BTreeMap::<_, Vec<_>>::new();
+        for (target, decision) in untold {
+            stops.entry(decision).or_default().push(target);
+        }
         let deadline = clock::now() + WITHIN;
-        let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
-        let (gcm, process) = (self.clone(), process.clone());
-        tokio::spawn(async move {
-            let mut done = Executed::default();
-            match gcm.halt_process(&process, &halting).await {
-                Ok(told) => gcm.note(&process, told, &mut done),
-                Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
-            }
-            if !done.plan.changes.is_empty() {
-                gcm.stop_on_record(&halting, true, |_| None);
-            }
-        });
+        // Each by its own decision: what was started after it goes on.
+        for (decision, targets) in stops {
+            let targets = Arc::new(targets);
+            let halting = Halting { targets, decision, deadline, known_here: 0, session: None };
+            let (gcm, process) = (self.clone(), process.clone());
+            tokio::spawn(async move {
+                let mut done = Executed::default();
+                match gcm.halt_process(&process, &halting).await {
+                    Ok(told) => gcm.note(&process, told, &mut done),
+                    Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
+                }
+                if !done.plan.changes.is_empty() {
+                    gcm.stop_on_record(&halting, true, |_| None);
+                }
+            });
+        }
     }
 
     /// Makes a Stop that a process was asked for itself one of this GCM's: what it names stays stopped, and
