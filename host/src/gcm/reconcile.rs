@@ -63,7 +63,7 @@ impl Look<'_> {
         for report in &mine {
             let (id, to) = (report.id.clone(), State::Stopped(StopReason::Requested));
             let back = told.get(&id).and_then(|known| self.configured_back(report, known));
-            let may_run = self.granted.contains(&id) && !gone.contains(&id) && back.is_none();
+            let may_run = self.granted.contains(&id) && !gone.contains(&id);
             if report.state == State::Active && !may_run {
                 stops.push(Change::Run { id: id.clone(), verb: Verb::Stop, from: State::Active, to });
             }
@@ -126,9 +126,9 @@ impl Look<'_> {
             return None;
         }
         let (from, to) = (told.config.clone(), wanted.config.clone());
-        // One that runs is stopped before: settings that it runs by may not be changed then.
+        // One that goes on keeps the settings that it runs by; any other one is stopped before.
         let stands = match report.state {
-            State::Active => State::Stopped(StopReason::Requested),
+            State::Active if !self.granted.contains(&report.id) => State::Stopped(StopReason::Requested),
             stands => stands,
         };
         let (from_state, to_state) = (stands, stands);
@@ -301,8 +301,8 @@ impl Gcm {
         (process, session): (&Name, u64),
         change: &Change,
     ) -> Result<(), Refusal> {
-        // A component that has failed takes no settings.
-        if let Change::Configure { id, from, from_state: State::Fault, .. } = change {
+        // A component that has failed takes no settings, and one that moves none that nobody asked for.
+        if let Change::Configure { id, from, from_state: State::Fault | State::Active, .. } = change {
             self.is_configured_so(id, from);
             return Ok(());
         }
