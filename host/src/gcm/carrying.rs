@@ -231,6 +231,12 @@ impl Gcm {
             let stands = decided.filter(|_| is_decided).and_then(as_decided);
             stand_by(graph, id, stands.or(known));
         });
+        // One of two processes may have come back with its half while the other one was waited for.
+        if let Change::Disconnect { connection, .. } = undo
+            && !connection.is_near()
+        {
+            self.cut_at_both(connection);
+        }
     }
 
     /// Returns the decision by which a component may run; `None`: it may not.

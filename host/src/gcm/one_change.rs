@@ -98,7 +98,13 @@ impl Gcm {
 
     /// Has both ends of a connection cut that one of them has forgotten.
     fn half_done(&self, change: &Change) {
-        let Change::Connect { connection } = change else { return };
+        if let Change::Connect { connection } = change {
+            self.cut_at_both(connection);
+        }
+    }
+
+    /// Has each process that is there cut its half of a connection. Not waited for.
+    pub(super) fn cut_at_both(&self, connection: &Connection) {
         let ends = [&connection.client, &connection.server].map(|end| end.component.process.clone());
         self.cut_strays(ends.into_iter().map(|process| (process, connection.clone())).collect());
     }
