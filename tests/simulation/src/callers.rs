@@ -12,36 +12,45 @@ use trocar::gcm::{Answer, ExecuteOptions, Executed, Gcm};
 use trocar_lcm_api::clock;
 use trocar_model::{
     Change, ComponentId, ConnectOptions, ConnectionId, Execution, Name, Pattern, PortId, Refusal, Request,
-    Target, Which,
+    State, Target, Which,
 };
 
-use crate::chance::Chance;
+use crate::ids::Turn;
 use crate::truth::{Kind, Truth};
 use crate::world::World;
 
 /// Time that an answer may come after its deadline: the way to a process and back, and taking back.
 const GRACE: Duration = Duration::from_secs(10);
 
+/// Requests with an id that may be asked again.
+const REPEATED: usize = 12;
+
 /// A request as it was asked.
 struct Asked {
     event: u64,
     requests: Vec<Request>,
     options: ExecuteOptions,
+    turn: Turn,
+}
+
+impl Asked {
+    fn is_first(&self) -> bool {
+        self.turn == Turn::First
+    }
+
+    /// Returns the event at which the same was asked first.
+    fn first(&self) -> u64 {
+        if let Turn::Same(first) = self.turn { first } else { self.event }
+    }
 }
 
 /// Asks, again and again, until the world is to rest.
 pub(crate) async fn ask(world: Arc<World>) {
     let chance = world.chance.clone();
-    // The last request with an id, which may be asked once more.
-    let mut last: Option<(Vec<Request>, String)> = None;
     while !world.is_to_rest() {
         tokio::time::sleep(chance.ms(0, 80)).await;
         let Some((gcm, tasks)) = world.gcm() else { continue };
-        let (requests, request_id) = match last.take().filter(|_| chance.once_in(3)) {
-            Some(again) => again,
-            None => (requests(&world, &gcm), id(&chance)),
-        };
-        last = Some((requests.clone(), request_id.clone())).filter(|_| !request_id.is_empty());
+        let (requests, request_id) = asked(&world, &gcm);
         let within = if chance.once_in(4) { chance.ms(1, 400) } else { chance.ms(500, 10_000) };
         let options = ExecuteOptions {
             validate_only: chance.once_in(30),
@@ -54,13 +63,43 @@ pub(crate) async fn ask(world: Arc<World>) {
             let ExecuteOptions { validate_only, request_id, expected_revision, .. } = &options;
             format!("{requests:?} {validate_only} {request_id:?} {expected_revision:?}, within {within:?}")
         });
-        let asked = Asked { event, requests, options };
+        let id = options.request_id.as_str();
+        let is_remembered = !id.is_empty() && !options.validate_only && !is_stop(&requests);
+        let turn = match is_remembered {
+            true => world.truth.id_asked(id, &requests, world.manager(), event),
+            false => Turn::First,
+        };
+        let asked = Asked { event, requests, options, turn };
         answered(&world, &gcm, &tasks, asked, within).await;
     }
 }
 
-fn id(chance: &Chance) -> String {
-    if chance.once_in(5) { format!("{:x}", chance.number()) } else { String::new() }
+/// Returns the next request, and its id, if it has one: sometimes what was asked under that before, and
+/// rarely something else.
+fn asked(world: &World, gcm: &Gcm) -> (Vec<Request>, String) {
+    let (chance, mut repeated) = (&world.chance, world.repeated.lock());
+    let again = match (repeated.len(), chance.below(16)) {
+        (1.., 0 | 1) => repeated.back().cloned(),
+        (known @ 1.., 2) => repeated.get(chance.below(known)).cloned(),
+        _ => None,
+    };
+    match again {
+        Some((_, id)) if chance.once_in(12) => (requests(world, gcm), id),
+        Some(again) => again,
+        None if chance.once_in(6) => {
+            let new = (requests(world, gcm), format!("{:x}", chance.number()));
+            repeated.push_back(new.clone());
+            if repeated.len() > REPEATED {
+                repeated.pop_front();
+            }
+            new
+        }
+        None => (requests(world, gcm), String::new()),
+    }
+}
+
+fn is_stop(requests: &[Request]) -> bool {
+    requests.iter().all(|request| matches!(request, Request::Stop { .. }))
 }
 
 async fn answered(
@@ -72,8 +111,12 @@ async fn answered(
 ) {
     let truth = &world.truth;
     let moves = moves(&asked.requests);
-    if !asked.options.validate_only && !moves.is_empty() {
+    let is_done = asked.is_first() && !asked.options.validate_only;
+    if is_done && !moves.is_empty() {
         truth.start_asked(asked.event, moves.clone());
+    }
+    if is_done {
+        truth.end_asked(asked.event, &asked.requests);
     }
     let (tell, told) = tokio::sync::oneshot::channel();
     let (requests, options, working) = (asked.requests.clone(), asked.options.clone(), gcm.clone());
@@ -93,6 +136,9 @@ async fn answered(
     if asked.options.validate_only {
         return;
     }
+    if !asked.options.request_id.is_empty() && !is_stop(&asked.requests) {
+        truth.id_answered(&asked.options.request_id, asked.turn, &answer);
+    }
     // A process that is lost gives its orders up with its lease, and takes back what it has done.
     let is_open = match answer {
         Err(Refusal::ProcessLost { .. }) => true,
@@ -101,6 +147,10 @@ async fn answered(
     };
     if !is_open {
         truth.start_answered(asked.event);
+    }
+    // What is only taken away is taken away at any time.
+    if !matches!(answer, Err(Refusal::ProcessLost { .. } | Refusal::LcmTimeout { .. })) {
+        truth.end_answered(asked.event);
     }
     match &answer {
         Ok(done) => accepted(world, &asked, done),
@@ -150,21 +200,25 @@ fn accepted(world: &World, asked: &Asked, done: &Executed) {
     if done.plan.changes.is_empty() {
         return;
     }
-    // The answer to a request with an id may be an earlier one.
-    if asked.options.request_id.is_empty() {
+    // Otherwise it is an earlier answer.
+    if asked.is_first() {
         let what = format!("the request of event {}", asked.event);
         truth.accepted(done.revision, asked.options.expected_revision, &what, world.is_on_record());
     }
     let mut seen = BTreeSet::new();
     for change in done.plan.changes.iter().rev() {
         match change {
-            Change::Destroy { id, .. } if seen.insert(id) => truth.left(id, asked.event, done.revision, None),
+            Change::Destroy { id, .. } if seen.insert(id) => {
+                truth.left(id, asked.first(), done.revision, None)
+            }
             Change::Create { id, component } if seen.insert(id) => {
-                truth.left(id, asked.event, done.revision, component.config["gain"].as_f64());
+                truth.left(id, asked.first(), done.revision, component.config["gain"].as_f64());
             }
             Change::Configure { id, to, .. } if seen.insert(id) => {
-                truth.left(id, asked.event, done.revision, to["gain"].as_f64());
+                truth.left(id, asked.first(), done.revision, to["gain"].as_f64());
             }
+            Change::Run { id, to: State::Active, .. } => truth.started(id, asked.first()),
+            Change::Connect { connection } => truth.connected(connection, asked.first()),
             _ => {}
         }
     }
@@ -172,7 +226,9 @@ fn accepted(world: &World, asked: &Asked, done: &Executed) {
 
 /// Notes what a request may have changed that was not accepted.
 fn nobody_knows(truth: &Truth, asked: &Asked) {
-    for request in &asked.requests {
+    // Of what was asked before is known as much as then.
+    let requests = if asked.is_first() { asked.requests.as_slice() } else { &[] };
+    for request in requests {
         match request {
             Request::Create { id, .. } | Request::Remove { id, .. } | Request::Configure { id, .. } => {
                 truth.unknown(id);
@@ -199,7 +255,7 @@ fn requests(world: &World, gcm: &Gcm) -> Vec<Request> {
     };
     let requests: Vec<Request> = (0..number).map(|_| request(world, gcm)).collect();
     // A Stop beside other requests is part of their plan, and no order of its own.
-    match requests.iter().all(|request| matches!(request, Request::Stop { .. })) {
+    match is_stop(&requests) {
         true => requests.into_iter().take(1).collect(),
         false => requests,
     }

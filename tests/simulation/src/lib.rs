@@ -7,6 +7,8 @@ mod callers;
 mod chance;
 mod classes;
 mod disk;
+mod goes_on;
+mod ids;
 #[path = "../../../host/lcm/src/latches.rs"]
 mod latches;
 mod network;

@@ -23,6 +23,7 @@ use trocar_model::{
 };
 
 use crate::chance::Chance;
+use crate::goes_on::Rest;
 use crate::latches::Latches;
 use crate::truth::{Kind, Truth};
 
@@ -98,8 +99,8 @@ impl ModelLcm {
     pub(crate) fn kill(&self) {
         self.alive.send_replace(false);
         let mut has = self.has.lock();
-        for id in std::mem::take(&mut *has).components.into_keys() {
-            self.truth.stands(&id);
+        for (id, component) in std::mem::take(&mut *has).components {
+            self.truth.stands(&id, Rest::Ended, &component.class);
         }
     }
 
@@ -159,7 +160,8 @@ impl ModelLcm {
         match state {
             State::Active if !moved => self.truth.moves(id, &class, self.number),
             State::Active => {}
-            _ => self.truth.stands(id),
+            State::Fault => self.truth.stands(id, Rest::Failed, &class),
+            _ => self.truth.stands(id, Rest::Ordered, &class),
         }
         has.report(id)
     }
@@ -170,6 +172,11 @@ impl ModelLcm {
         let turn = tokio::time::timeout_at(deadline.into(), turn.lock_owned()).await;
         self.is_alive()?;
         turn.map_err(|_| self.late("its turn"))
+    }
+
+    fn refused(&self, id: ComponentId, entry: &'static str) -> Refusal {
+        self.truth.refused(&id);
+        Refusal::ComponentRefused { id, entry, text: "the cable is out".into() }
     }
 
     fn late(&self, what: &str) -> Refusal {
@@ -203,7 +210,7 @@ impl ModelLcm {
         }
         self.works(order).await?;
         if self.chance.once_in(REFUSED) {
-            return Err(refused(id, "create"));
+            return Err(self.refused(id, "create"));
         }
         let mut has = self.has.lock();
         has.components.insert(id.clone(), Component { health: Health::Ok, ..component });
@@ -214,7 +221,9 @@ impl ModelLcm {
         let _turn = self.turn(id, order.deadline).await?;
         let mut has = self.has.lock();
         let report = has.report(id)?;
-        has.components.remove(id);
+        if let Some(gone) = has.components.remove(id) {
+            self.truth.stands(id, Rest::Ordered, &gone.class);
+        }
         let ends = |c: &Connection| c.client.component == *id || c.server.component == *id;
         has.connections.retain(|_, connection| !ends(connection));
         let gone: Vec<(u64, End)> = has
@@ -227,7 +236,6 @@ impl ModelLcm {
             has.halves.remove(&connection);
             let _ = self.news.send(News::Half(HalfReport { connection, end, proxy: None }));
         }
-        self.truth.stands(id);
         Ok(report)
     }
 
@@ -251,7 +259,7 @@ impl ModelLcm {
         if !matches!(verb, Verb::Stop | Verb::Remove) {
             self.works(order).await?;
             if self.chance.once_in(REFUSED) {
-                return Err(refused(id.clone(), "start"));
+                return Err(self.refused(id.clone(), "start"));
             }
             if moves && self.chance.once_in(FAILS) {
                 let report = self.becomes(id, State::Fault, "start: the cable is out")?;
@@ -288,7 +296,7 @@ impl ModelLcm {
         let stood = self.state(id)?;
         self.works(order).await?;
         if self.chance.once_in(REFUSED) {
-            return Err(refused(id.clone(), "configure"));
+            return Err(self.refused(id.clone(), "configure"));
         }
         let mut has = self.has.lock();
         if let Some(component) = has.components.get_mut(id) {
@@ -296,7 +304,7 @@ impl ModelLcm {
             // Nothing is set in motion by it, and what has failed stays so.
             if component.state == stood && to_state != State::Active && stood != State::Fault {
                 component.state = to_state;
-                self.truth.stands(id);
+                self.truth.stands(id, Rest::Ordered, &component.class.clone());
             }
         }
         has.report(id)
@@ -308,7 +316,7 @@ impl ModelLcm {
 
     fn connect(&self, connection: Connection) -> Result<Report, Refusal> {
         if self.chance.once_in(REFUSED) {
-            return Err(refused(connection.client.component, "connect"));
+            return Err(self.refused(connection.client.component, "connect"));
         }
         let mut has = self.has.lock();
         has.report(&connection.server.component)?;
@@ -379,10 +387,6 @@ impl Has {
             warnings: Vec::new(),
         })
     }
-}
-
-fn refused(id: ComponentId, entry: &'static str) -> Refusal {
-    Refusal::ComponentRefused { id, entry, text: "the cable is out".into() }
 }
 
 fn not_modelled<T>() -> Result<T, Refusal> {
@@ -461,6 +465,7 @@ impl Lcm for ModelLcm {
         worked?;
         if self.chance.once_in(UNREACHABLE) {
             let Connection { client, server, .. } = connection;
+            self.truth.refused(&client.component);
             return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
         }
         let number = connection.id.0;

@@ -7,8 +7,11 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use parking_lot::Mutex;
-use trocar::gcm::Record;
-use trocar_model::{ClassInfo, ComponentId, Entry, Safety, Target};
+use trocar::gcm::{Answer, Record};
+use trocar_model::{ClassInfo, ComponentId, Connection, ConnectionId, Entry, Request, Safety, Target};
+
+use crate::goes_on::{GoesOn, Rest};
+use crate::ids::{Ids, Turn};
 
 /// Kind of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -57,6 +60,8 @@ struct Happened {
     is_blind: bool,
     /// Components as the last accepted request has left them.
     left: BTreeMap<ComponentId, Left>,
+    goes_on: GoesOn,
+    ids: Ids,
 }
 
 struct Start {
@@ -156,6 +161,45 @@ impl Truth {
         }
     }
 
+    /// Somebody asks for this, by which something else may end.
+    pub(crate) fn end_asked(&self, event: u64, requests: &[Request]) {
+        self.0.lock().goes_on.asked(event, requests);
+    }
+
+    /// It was answered, and nothing of it is done later.
+    pub(crate) fn end_answered(&self, event: u64) {
+        let mut happened = self.0.lock();
+        let now = happened.events;
+        happened.goes_on.closed(event, now);
+    }
+
+    /// A component was set in motion by an accepted request, asked at that event.
+    pub(crate) fn started(&self, id: &ComponentId, asked: u64) {
+        let mut happened = self.0.lock();
+        if happened.is_blind {
+            return;
+        }
+        let moves = happened.moving.contains(id);
+        if let Some(wrong) = happened.goes_on.started(id, asked, moves) {
+            happened.violated(wrong);
+        }
+    }
+
+    /// A connection was accepted, asked for at that event.
+    pub(crate) fn connected(&self, connection: &Connection, asked: u64) {
+        let mut happened = self.0.lock();
+        if !happened.is_blind {
+            happened.goes_on.connected(connection, asked);
+        }
+    }
+
+    /// A component has refused something, and stays so until somebody asks again.
+    pub(crate) fn refused(&self, id: &ComponentId) {
+        let mut happened = self.0.lock();
+        let now = happened.events;
+        happened.goes_on.refused(id, now);
+    }
+
     /// A Stop, asked at that event, was answered: everything that it names stands still, but for what failed.
     /// `told`: components of which its answer speaks.
     pub(crate) fn stopped(
@@ -194,6 +238,7 @@ impl Truth {
         self.event(Kind::Moves, || format!("{id} moves, in incarnation {incarnation}"));
         let mut happened = self.0.lock();
         happened.moving.insert(id.clone());
+        happened.goes_on.moves(id);
         let began = happened.began.get(&incarnation).copied().unwrap_or_default();
         // The answer to a Stop waits a moment for its record, and no longer. Of one that a manager has lost
         // and that the process cannot know of, since it began later, nobody knows.
@@ -217,13 +262,37 @@ impl Truth {
     }
 
     /// A component stands still, or is gone.
-    pub(crate) fn stands(&self, id: &ComponentId) {
-        self.0.lock().moving.remove(id);
+    pub(crate) fn stands(&self, id: &ComponentId, how: Rest, class: &ClassInfo) {
+        let mut happened = self.0.lock();
+        if !happened.moving.remove(id) {
+            return;
+        }
+        let now = happened.events;
+        if let Some(wrong) = happened.goes_on.stands(id, how, class.safety, now) {
+            happened.violated(wrong);
+        }
+    }
+
+    // -- request ids ---------------------------------------------------------------------------------------
+
+    /// Somebody asks a manager for something under an id, at that event.
+    pub(crate) fn id_asked(&self, id: &str, requests: &[Request], manager: u64, event: u64) -> Turn {
+        self.0.lock().ids.asked(id, format!("{requests:?}"), manager, event)
+    }
+
+    /// It was answered.
+    pub(crate) fn id_answered(&self, id: &str, turn: Turn, answer: &Answer) {
+        let mut happened = self.0.lock();
+        if let Some(wrong) = happened.ids.answered(id, turn, answer) {
+            happened.violated(wrong);
+        }
     }
 
     // -- records -------------------------------------------------------------------------------------------
 
     pub(crate) fn on_record(&self, record: &Record) {
+        let twice = self.0.lock().ids.on_record(record);
+        twice.into_iter().for_each(|wrong| self.violated(wrong));
         if let Entry::Stopped { targets, .. } = &record.entry {
             let mut happened = self.0.lock();
             let event = happened.events;
@@ -290,15 +359,26 @@ impl Truth {
         happened.accepted.clear();
         happened.expected.clear();
         happened.left.clear();
+        happened.goes_on.forgets();
         happened.is_blind = true;
     }
 
-    /// Everything is at rest: what is open stays so, and components are as they are.
-    pub(crate) fn rests(&self) {
+    /// Returns what was accepted and is not there at rest, when these connections are on record.
+    pub(crate) fn missing(&self, connections: &BTreeMap<ConnectionId, Connection>) -> Vec<String> {
+        let happened = self.0.lock();
+        let (moves, on_record) =
+            (|id: &ComponentId| happened.moving.contains(id), |id| connections.get(&ConnectionId(id)));
+        happened.goes_on.at_rest(moves, on_record)
+    }
+
+    /// Everything is at rest: what is open stays so, and components and connections are as they are.
+    pub(crate) fn rests(&self, connections: &BTreeMap<ConnectionId, Connection>) {
         self.event(Kind::Rests, || "everything rests".into());
         let mut happened = self.0.lock();
         happened.left.retain(|_, left| left.unknown.is_none());
         happened.is_blind = false;
+        let (now, moving) = (happened.events, happened.moving.clone());
+        happened.goes_on.rests(moving.into_iter(), connections.values(), now);
         happened.starts.values_mut().for_each(|start| start.is_open = false);
         while happened.starts.len() > 512 {
             happened.starts.pop_first();

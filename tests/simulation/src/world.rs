@@ -2,7 +2,7 @@
 //!
 //! Invariant: at rest, what is wanted, what is listed and what the processes have are the same.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ use trocar::control::{Begin, Uplink};
 use trocar::gcm::{Answer, Fate, Gcm, GcmConfig, Recording, Registration, Standing, Told};
 use trocar_lcm_api::clock;
 use trocar_model::{
-    ClassInfo, Component, ComponentId, Name, ProcessState, Safety, State, SystemGraph, Target,
+    ClassInfo, Component, ComponentId, Name, ProcessState, Request, Safety, State, SystemGraph, Target,
 };
 
 use crate::callers;
@@ -45,8 +45,12 @@ pub(crate) struct World {
     processes: Mutex<BTreeMap<Name, Running>>,
     /// Incarnations so far.
     incarnations: Mutex<u64>,
+    /// Managers so far. Terms do not tell them apart: one that was killed at once has left nothing behind.
+    managers: Mutex<u64>,
     is_to_rest: watch::Sender<bool>,
     pace: Pace,
+    /// The last requests with an id, which may be asked again.
+    pub(crate) repeated: Mutex<VecDeque<(Vec<Request>, String)>>,
 }
 
 /// Pace at which things fail in a run, each of them for itself.
@@ -97,8 +101,10 @@ impl World {
             manager: Mutex::default(),
             processes: Mutex::default(),
             incarnations: Mutex::default(),
+            managers: Mutex::default(),
             is_to_rest: watch::Sender::new(false),
             pace: Pace::of(&chance),
+            repeated: Mutex::default(),
             chance,
             truth,
         })
@@ -148,6 +154,11 @@ impl World {
         self.manager.lock().as_ref().map(|manager| (manager.gcm.clone(), manager.tasks.clone()))
     }
 
+    /// Number of the manager that runs, or ran last.
+    pub(crate) fn manager(&self) -> u64 {
+        *self.managers.lock()
+    }
+
     /// Tells whether all that is answered is on record.
     pub(crate) fn is_on_record(&self) -> bool {
         let manager = self.manager.lock();
@@ -186,6 +197,7 @@ impl World {
             Ok(gcm) => {
                 self.truth.event(Kind::Began, || format!("a manager, term {}", gcm.term()));
                 let open = self.network.open(&gcm);
+                *self.managers.lock() += 1;
                 *self.manager.lock() =
                     Some(Manager { gcm, tasks: Arc::default(), _open: open, began: clock::now() });
             }
@@ -301,11 +313,13 @@ impl World {
     async fn stops_here(&self, lcm: &ModelLcm) {
         let targets = callers::targets(self);
         let event = self.truth.event(Kind::Asked, || format!("{targets:?} to stop, at its own port"));
+        self.truth.end_asked(event, &[Request::Stop { targets: targets.clone() }]);
         let halted = lcm.stop_here(targets.clone(), clock::now() + Duration::from_secs(5)).await;
         // It speaks for what it has itself, as far as that stands.
         let stands = halted.into_iter().filter(|halted| halted.done.is_ok()).map(|halted| halted.id);
         let told: BTreeSet<_> = stands.collect();
         let stands = told.iter().cloned().map(Target::One).collect();
+        self.truth.end_answered(event);
         self.truth.stopped(event, stands, BTreeSet::new(), told);
     }
 
@@ -342,7 +356,7 @@ impl World {
         if !differences.is_empty() {
             self.truth.violated(format!("at rest: {}", differences.join("\n         ")));
         }
-        self.truth.rests();
+        self.truth.rests(&self.disk.wanted().connections);
     }
 
     /// Returns what is not as it is to be.
@@ -376,6 +390,7 @@ impl World {
                 wrong.extend(self.truth.differs(&id, gain));
             }
         }
+        wrong.extend(self.truth.missing(&wanted.connections));
         for (name, running) in self.processes.lock().iter() {
             let seen = running.lcm.seen();
             wrong.extend(of_process(&graph, name, &seen));
