@@ -133,6 +133,7 @@ async fn answered(
         Err(_) => return truth.violated(format!("{:?} was not answered within {within:?}", asked.requests)),
     };
     truth.event(Kind::Answered, || format!("event {}: {answer:?}", asked.event));
+    truth.counts(kind(&asked, &answer));
     if asked.options.validate_only {
         return;
     }
@@ -165,6 +166,23 @@ async fn answered(
             }
         }
     }
+}
+
+/// Names the kind of a request, and what became of it.
+fn kind(asked: &Asked, answer: &Answer) -> String {
+    let verb = match asked.requests.as_slice() {
+        _ if asked.options.validate_only => "dry run".into(),
+        _ if !asked.is_first() => "asked again".into(),
+        [one] => format!("{one:?}").split([' ', '{']).next().unwrap_or_default().to_owned(),
+        _ => "several".into(),
+    };
+    let outcome = match answer {
+        Ok(done) if !done.failed.is_empty() => "OK, but for some",
+        Ok(done) if done.plan.changes.is_empty() => "OK, nothing changed",
+        Ok(_) => "OK",
+        Err(refusal) => refusal.reason(),
+    };
+    format!("{verb}: {outcome}")
 }
 
 /// Tells whether something may have been done of a request that was refused so.

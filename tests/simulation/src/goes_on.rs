@@ -104,6 +104,11 @@ impl GoesOn {
         self.refused.insert(id.clone(), now);
     }
 
+    /// Tells whether a component has refused something since.
+    pub(super) fn has_refused(&self, id: &ComponentId, since: u64) -> bool {
+        self.refused.get(id).is_some_and(|at| *at > since)
+    }
+
     /// A connection was accepted.
     pub(super) fn connected(&mut self, connection: &Connection, asked: u64) {
         if asked < self.rested {
@@ -118,7 +123,7 @@ impl GoesOn {
         moving: impl Fn(&ComponentId) -> bool,
         connections: impl Fn(u64) -> Option<&'c Connection>,
     ) -> Vec<String> {
-        let has_refused = |id, since| self.refused.get(id).is_some_and(|at| *at > since);
+        let has_refused = |id, since| self.has_refused(id, since);
         let rests = self
             .again
             .iter()

@@ -16,6 +16,8 @@ mod process;
 mod truth;
 mod world;
 
+use std::collections::BTreeMap;
+
 use chance::Chance;
 use parking_lot::Mutex;
 pub use truth::Ended;
@@ -42,7 +44,7 @@ pub fn run(seed: u64, events: u64, is_told: bool) -> Ended {
         truth.ended()
     };
     let ended = std::thread::Builder::new().spawn(work).expect("a thread").join();
-    let mut ended = ended.unwrap_or(Ended { events: 0, hash: 0, violation: None });
+    let mut ended = ended.unwrap_or(Ended { events: 0, hash: 0, violation: None, counts: BTreeMap::new() });
     ended.violation = ended.violation.or_else(|| PANICKED.lock().take());
     ended
 }

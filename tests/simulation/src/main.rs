@@ -1,10 +1,14 @@
 //! Runs seeds until so many events have happened, each in a process of its own: `simulation [--seed N]
 //! [--events N]`, or tells all that happens in one: `simulation --tell SEED`.
 
+use std::collections::BTreeMap;
 use std::process::{Command, ExitCode};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
+
+/// Begins a line that says how often something has happened.
+const COUNT: &str = "  ";
 
 /// Events of one seed, about: it ends at the next rest.
 const OF_SEED: u64 = 20_000;
@@ -38,6 +42,7 @@ fn main() -> ExitCode {
 fn one(seed: u64, is_told: bool) -> ExitCode {
     let ended = trocar_simulation::run(seed, OF_SEED, is_told);
     println!("{} {:016x}", ended.events, ended.hash);
+    ended.counts.iter().for_each(|(kind, number)| println!("{COUNT}{number} {kind}"));
     let Some(violation) = ended.violation else { return ExitCode::SUCCESS };
     println!("seed {seed}, event {}: {violation}", ended.events);
     ExitCode::FAILURE
@@ -47,6 +52,7 @@ fn one(seed: u64, is_told: bool) -> ExitCode {
 /// before it.
 fn many(first: u64, events: u64) -> ExitCode {
     let (next, done, failed) = (AtomicU64::new(first), AtomicU64::new(0), Mutex::new(None));
+    let counts = Mutex::new(BTreeMap::new());
     let began = Instant::now();
     let lanes = std::thread::available_parallelism().map_or(1, usize::from);
     let lane = || {
@@ -59,6 +65,9 @@ fn many(first: u64, events: u64) -> ExitCode {
                     let text = String::from_utf8_lossy(&said.stdout).into_owned();
                     let events = text.split(' ').next().and_then(|events| events.parse().ok()).unwrap_or(0);
                     done.fetch_add(events, Ordering::Relaxed);
+                    if let Ok(mut counts) = counts.lock() {
+                        add(&mut counts, &text);
+                    }
                     let why = text + &String::from_utf8_lossy(&said.stderr);
                     (!said.status.success()).then(|| format!("{why}seed {seed}: {}", said.status))
                 }
@@ -72,10 +81,21 @@ fn many(first: u64, events: u64) -> ExitCode {
     std::thread::scope(|scope| (0..lanes).for_each(|_| _ = scope.spawn(lane)));
     let (events, s) = (done.into_inner(), began.elapsed().as_secs_f64());
     println!("{events} events, seeds {first}..{}, {s:.1} s", next.into_inner());
+    let counts = counts.into_inner().unwrap_or_default();
+    counts.iter().for_each(|(kind, number)| println!("{COUNT}{number} {kind}"));
     let failed = failed.into_inner().ok().flatten();
     if let Some(failure) = failed {
         println!("{failure}");
         return ExitCode::FAILURE;
     }
     ExitCode::SUCCESS
+}
+
+/// Adds what a seed says of how often things have happened in it.
+fn add(counts: &mut BTreeMap<String, u64>, said: &str) {
+    for line in said.lines().filter_map(|line| line.strip_prefix(COUNT)) {
+        if let Some((number, kind)) = line.split_once(' ') {
+            *counts.entry(kind.to_owned()).or_default() += number.parse::<u64>().unwrap_or_default();
+        }
+    }
 }

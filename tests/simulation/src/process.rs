@@ -4,14 +4,17 @@
 //! Invariant: as of a true LCM. A change that is not done by its deadline, or whose orderer is gone, is not
 //! done; what runs through one component is done one after the other; a Stop is noted before anything else.
 
+mod hanging;
+
 use std::collections::BTreeMap;
-use std::sync::Arc;
-use std::time::Instant;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
 use tokio::sync::{OwnedMutexGuard, broadcast, mpsc, watch};
 use trocar::gcm::plan_lines;
+use trocar_lcm_api::clock;
 use trocar_lcm_api::{
     Decision, Detail, HalfReport, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo,
     RemoteEnd, Reply, Report, Sample, Selection, Stop, When,
@@ -38,6 +41,7 @@ const UNREACHABLE: usize = 30;
 
 /// One incarnation of a process.
 pub(crate) struct ModelLcm {
+    me: Weak<ModelLcm>,
     name: Name,
     /// Number of the incarnation, of all processes together.
     pub(crate) number: u64,
@@ -60,7 +64,7 @@ struct Has {
     started: BTreeMap<ComponentId, Decision>,
     /// Halves that are only being made; closed when one is to be no more.
     linking: BTreeMap<u64, watch::Sender<()>>,
-    /// Held while something runs through a component.
+    /// Held while something runs through a component; one that hangs when it is removed keeps its own.
     turns: BTreeMap<ComponentId, Arc<tokio::sync::Mutex<()>>>,
     /// Number of the last report.
     reports: u64,
@@ -82,7 +86,8 @@ impl ModelLcm {
         chance: Chance,
         truth: Truth,
     ) -> Arc<ModelLcm> {
-        Arc::new(ModelLcm {
+        Arc::new_cyclic(|me| ModelLcm {
+            me: me.clone(),
             name,
             number,
             has: Mutex::default(),
@@ -209,6 +214,9 @@ impl ModelLcm {
             return Err(Refusal::ComponentExists { id });
         }
         self.works(order).await?;
+        if self.has.lock().components.contains_key(&id) {
+            return Err(Refusal::ComponentExists { id });
+        }
         if self.chance.once_in(REFUSED) {
             return Err(self.refused(id, "create"));
         }
@@ -217,9 +225,16 @@ impl ModelLcm {
         has.report(&id)
     }
 
+    /// One that hangs is left behind.
     async fn destroy(&self, id: &ComponentId, order: &Order) -> Result<Report, Refusal> {
-        let _turn = self.turn(id, order.deadline).await?;
+        match self.turn(id, order.deadline).await {
+            Ok(_turn) => self.takes_time(order.deadline).await,
+            Err(late) if !self.hangs_now(id) => return Err(late),
+            Err(_) => {}
+        }
+        self.is_alive()?;
         let mut has = self.has.lock();
+        has.turns.remove(id);
         let report = has.report(id)?;
         if let Some(gone) = has.components.remove(id) {
             self.truth.stands(id, Rest::Ordered, &gone.class);
@@ -240,42 +255,36 @@ impl ModelLcm {
     }
 
     async fn run(&self, id: &ComponentId, verb: Verb, order: &Order) -> Result<Report, Refusal> {
-        let _turn = self.turn(id, order.deadline).await?;
+        if matches!(verb, Verb::Stop | Verb::Remove) {
+            // It acts first.
+            self.halt(id, Decision::MOST)?;
+            return self.rests(id, Decision::MOST, order.deadline).await;
+        }
+        let turn = self.turn(id, order.deadline).await?;
         let stood = self.state(id)?;
-        let held_off = |state, why: &str| Refusal::WrongState {
-            id: id.clone(),
-            state,
-            verb,
-            allowed: allowed(state),
-            why: why.to_owned(),
-        };
         let moves = matches!(verb, Verb::Start | Verb::Resume);
-        // A component that is removed is brought to rest first.
-        let does = if verb == Verb::Remove { Verb::Stop } else { verb };
-        let to = transition(stood, does).ok_or_else(|| held_off(stood, ""))?;
-        if moves && let Some(why) = self.latches.hold_off(id, order.decision) {
-            return Err(held_off(stood, why));
+        let to = transition(stood, verb).ok_or_else(|| held_off(id, stood, verb, ""))?;
+        let latched = || match self.latches.hold_off(id, order.decision).filter(|_| moves) {
+            Some(why) => Err(held_off(id, stood, verb, why)),
+            None => Ok(()),
+        };
+        latched()?;
+        let _turn = self.works_in(id, turn, order).await?;
+        if self.chance.once_in(REFUSED) {
+            return Err(self.refused(id.clone(), "start"));
         }
-        if !matches!(verb, Verb::Stop | Verb::Remove) {
-            self.works(order).await?;
-            if self.chance.once_in(REFUSED) {
-                return Err(self.refused(id.clone(), "start"));
-            }
-            if moves && self.chance.once_in(FAILS) {
-                let report = self.becomes(id, State::Fault, "start: the cable is out")?;
-                self.tell(report);
-                return Err(Refusal::ComponentFault { id: id.clone(), text: "the cable is out".into() });
-            }
+        if moves && self.chance.once_in(FAILS) {
+            let report = self.becomes(id, State::Fault, "start: the cable is out")?;
+            self.tell(report);
+            return Err(Refusal::ComponentFault { id: id.clone(), text: "the cable is out".into() });
         }
-        if moves && let Some(why) = self.latches.hold_off(id, order.decision) {
-            return Err(held_off(stood, why));
-        }
+        latched()?;
         // It may have failed by itself meanwhile.
         let now = self.state(id)?;
         if moves && now != stood {
-            return Err(held_off(now, "it failed before this came to its turn"));
+            return Err(held_off(id, now, verb, "it failed before this came to its turn"));
         }
-        let to = if now == stood { to } else { transition(now, does).unwrap_or(now) };
+        let to = if now == stood { to } else { transition(now, verb).unwrap_or(now) };
         if moves {
             self.has.lock().started.insert(id.clone(), order.decision);
         }
@@ -289,25 +298,34 @@ impl ModelLcm {
     async fn configure(
         &self,
         id: &ComponentId,
-        (config, to_state): (&serde_json::Value, State),
+        (config, from_state, to_state): (&serde_json::Value, State, State),
         order: &Order,
     ) -> Result<Report, Refusal> {
-        let _turn = self.turn(id, order.deadline).await?;
+        // The undoing of a Create, which is removed next.
+        if to_state == State::Created {
+            let is_ready = self.state(id)? == State::Ready;
+            return if is_ready { self.becomes(id, to_state, "") } else { self.has.lock().report(id) };
+        }
+        let turn = self.turn(id, order.deadline).await?;
         let stood = self.state(id)?;
-        self.works(order).await?;
+        if stood != from_state || stood == State::Fault {
+            let why = format!("it was {from_state} when this was decided");
+            return Err(held_off(id, stood, Verb::Configure, &why));
+        }
+        let _turn = self.works_in(id, turn, order).await?;
         if self.chance.once_in(REFUSED) {
             return Err(self.refused(id.clone(), "configure"));
         }
-        let mut has = self.has.lock();
-        if let Some(component) = has.components.get_mut(id) {
-            component.config = config.clone();
-            // Nothing is set in motion by it, and what has failed stays so.
-            if component.state == stood && to_state != State::Active && stood != State::Fault {
-                component.state = to_state;
-                self.truth.stands(id, Rest::Ordered, &component.class.clone());
-            }
+        let now = self.state(id)?;
+        if now != stood {
+            let text = format!("configure: it took so long that it is {now}");
+            return Err(Refusal::ComponentFault { id: id.clone(), text });
         }
-        has.report(id)
+        if let Some(component) = self.has.lock().components.get_mut(id) {
+            component.config = config.clone();
+        }
+        // Nothing is set in motion by it.
+        if to_state == State::Active { self.has.lock().report(id) } else { self.becomes(id, to_state, "") }
     }
 
     fn state(&self, id: &ComponentId) -> Result<State, Refusal> {
@@ -389,6 +407,10 @@ impl Has {
     }
 }
 
+fn held_off(id: &ComponentId, state: State, verb: Verb, why: &str) -> Refusal {
+    Refusal::WrongState { id: id.clone(), state, verb, allowed: allowed(state), why: why.to_owned() }
+}
+
 fn not_modelled<T>() -> Result<T, Refusal> {
     Err(Refusal::NotImplemented { what: "this".into(), hint: String::new() })
 }
@@ -404,7 +426,9 @@ impl Lcm for ModelLcm {
         match change {
             Change::Create { id, component } => self.create(id, *component, &order).await,
             Change::Destroy { id, .. } => self.destroy(&id, &order).await,
-            Change::Configure { id, to, to_state, .. } => self.configure(&id, (&to, to_state), &order).await,
+            Change::Configure { id, to, from_state, to_state, .. } => {
+                self.configure(&id, (&to, from_state, to_state), &order).await
+            }
             Change::Run { id, verb, .. } => self.run(&id, verb, &order).await,
             Change::Connect { connection } => self.connect(connection),
             Change::Disconnect { connection, .. } => self.disconnect(&connection),
@@ -435,10 +459,7 @@ impl Lcm for ModelLcm {
             // A start under way takes itself back, and is waited for.
             let done = match first {
                 Ok(report) if moves => Ok(report),
-                _ => match self.turn(&id, order.deadline).await {
-                    Ok(_turn) => self.halt(&id, order.decision),
-                    Err(late) => Err(late),
-                },
+                _ => self.rests(&id, order.decision, order.deadline).await,
             };
             halted.push(Halted { id, was, done });
         }
@@ -462,7 +483,7 @@ impl Lcm for ModelLcm {
             worked = self.works(&by) => worked,
         };
         self.has.lock().linking.remove(&connection.id.0);
-        worked?;
+        worked.inspect_err(|_| self.truth.refused(&connection.client.component))?;
         if self.chance.once_in(UNREACHABLE) {
             let Connection { client, server, .. } = connection;
             self.truth.refused(&client.component);

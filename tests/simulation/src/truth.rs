@@ -51,6 +51,8 @@ struct Happened {
     recorded_stops: BTreeMap<Vec<Target>, u64>,
     /// Revisions that are on record.
     recorded: BTreeSet<u64>,
+    /// Revisions of accepted changes that are not on record yet.
+    unrecorded: BTreeSet<u64>,
     /// Revisions that accepted changes expected.
     expected: BTreeMap<u64, String>,
     /// Revisions of accepted changes.
@@ -62,6 +64,8 @@ struct Happened {
     left: BTreeMap<ComponentId, Left>,
     goes_on: GoesOn,
     ids: Ids,
+    /// Times that each kind of thing has happened.
+    counts: BTreeMap<String, u64>,
 }
 
 struct Start {
@@ -109,6 +113,8 @@ pub struct Ended {
     /// Hash of all events and their times: two runs with the same one are the same.
     pub hash: u64,
     pub violation: Option<String>,
+    /// Times that each kind of request was answered so, and that things failed.
+    pub counts: BTreeMap<String, u64>,
 }
 
 impl Truth {
@@ -144,7 +150,17 @@ impl Truth {
 
     pub(crate) fn ended(&self) -> Ended {
         let happened = self.0.lock();
-        Ended { events: happened.events, hash: happened.hash, violation: happened.violation.clone() }
+        Ended {
+            events: happened.events,
+            hash: happened.hash,
+            violation: happened.violation.clone(),
+            counts: happened.counts.clone(),
+        }
+    }
+
+    /// Counts one more of a kind.
+    pub(crate) fn counts(&self, kind: String) {
+        *self.0.lock().counts.entry(kind).or_default() += 1;
     }
 
     // -- motion --------------------------------------------------------------------------------------------
@@ -198,6 +214,13 @@ impl Truth {
         let mut happened = self.0.lock();
         let now = happened.events;
         happened.goes_on.refused(id, now);
+    }
+
+    /// Tells whether a component has refused something since these incarnations of processes have begun.
+    pub(crate) fn has_refused(&self, id: &ComponentId, incarnations: &[u64]) -> bool {
+        let happened = self.0.lock();
+        let began = incarnations.iter().filter_map(|number| happened.began.get(number)).max();
+        happened.goes_on.has_refused(id, began.copied().unwrap_or_default())
     }
 
     /// A Stop, asked at that event, was answered: everything that it names stands still, but for what failed.
@@ -301,7 +324,9 @@ impl Truth {
             same.for_each(|stop| stop.is_recorded = true);
         }
         if let Some(revision) = record.entry.revision() {
-            self.0.lock().recorded.insert(revision);
+            let mut happened = self.0.lock();
+            happened.recorded.insert(revision);
+            happened.unrecorded.remove(&revision);
         }
     }
 
@@ -316,6 +341,9 @@ impl Truth {
         if on_record && !happened.recorded.contains(&revision) {
             happened
                 .violated(format!("{what} was answered with revision {revision}, which is not on record"));
+        }
+        if !happened.recorded.contains(&revision) {
+            happened.unrecorded.insert(revision);
         }
         if let Some(other) = happened.accepted.insert(revision, what.to_owned()) {
             happened.violated(format!("{what} and {other} have both revision {revision}"));
@@ -359,6 +387,7 @@ impl Truth {
         happened.accepted.clear();
         happened.expected.clear();
         happened.left.clear();
+        happened.unrecorded.clear();
         happened.goes_on.forgets();
         happened.is_blind = true;
     }
@@ -368,7 +397,10 @@ impl Truth {
         let happened = self.0.lock();
         let (moves, on_record) =
             (|id: &ComponentId| happened.moving.contains(id), |id| connections.get(&ConnectionId(id)));
-        happened.goes_on.at_rest(moves, on_record)
+        let mut wrong = happened.goes_on.at_rest(moves, on_record);
+        let late = happened.unrecorded.iter();
+        wrong.extend(late.map(|revision| format!("revision {revision} was answered, and is not on record")));
+        wrong
     }
 
     /// Everything is at rest: what is open stays so, and components and connections are as they are.

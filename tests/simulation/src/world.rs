@@ -19,7 +19,7 @@ use trocar_model::{
 use crate::callers;
 use crate::chance::Chance;
 use crate::classes::{actuator, filter};
-use crate::disk::Disk;
+use crate::disk::{Disk, Struck};
 use crate::network::Network;
 use crate::process::ModelLcm;
 use crate::truth::{Kind, Truth};
@@ -29,7 +29,7 @@ const CALLERS: usize = 4;
 /// Time in which a manager is new.
 const NEW: Duration = Duration::from_secs(5);
 /// Longest time until everything is at rest once nothing fails any more.
-const REST: Duration = Duration::from_secs(150);
+const REST: Duration = Duration::from_secs(45);
 
 pub(crate) struct World {
     pub(crate) chance: Chance,
@@ -93,7 +93,7 @@ impl World {
     pub(crate) fn new(chance: Chance, truth: Truth) -> Arc<World> {
         Arc::new(World {
             network: Network::new(chance.clone(), truth.clone()),
-            disk: Disk::new(truth.clone()),
+            disk: Disk::new(chance.clone(), truth.clone()),
             names: ["left", "right", "eye"].map(name).into(),
             components: ["a", "b", "c"].map(name).into(),
             ports: ["input", "value", "robot", "arm"].map(name),
@@ -115,6 +115,7 @@ impl World {
         while self.truth.events() < events && !self.truth.is_violated() {
             self.is_to_rest.send_replace(false);
             self.network.calm(false);
+            self.disk.calm(false);
             let mut running = JoinSet::new();
             for _ in 0..CALLERS {
                 running.spawn(callers::ask(self.clone()));
@@ -128,6 +129,7 @@ impl World {
             tokio::time::sleep(self.chance.ms(5_000, 40_000)).await;
             self.is_to_rest.send_replace(true);
             self.network.calm(true);
+            self.disk.calm(true);
             while let Some(ended) = running.join_next().await {
                 if let Err(e) = ended {
                     self.truth.violated(format!("a task broke off: {e}"));
@@ -177,8 +179,19 @@ impl World {
     async fn manages(self: Arc<World>) {
         while !self.is_to_rest() {
             self.begins().await;
-            self.waits((500, self.pace.manager)).await;
-            if !self.is_to_rest() && self.chance.once_in(2) {
+            let struck = tokio::select! {
+                biased;
+                struck = self.disk.strikes() => Some(struck),
+                () = self.waits((500, self.pace.manager)) => None,
+            };
+            // Somebody sees the warning.
+            if struck == Some(Struck::Broken) {
+                self.waits((0, 10_000)).await;
+            }
+            if struck == Some(Struck::Killed { is_behind: true }) {
+                self.truth.forgets();
+            }
+            if struck.is_some() || !self.is_to_rest() && self.chance.once_in(2) {
                 self.ends();
                 self.waits((0, 3_000)).await;
             }
@@ -197,6 +210,7 @@ impl World {
             Ok(gcm) => {
                 self.truth.event(Kind::Began, || format!("a manager, term {}", gcm.term()));
                 let open = self.network.open(&gcm);
+                self.disk.stands(gcm.journal());
                 *self.managers.lock() += 1;
                 *self.manager.lock() =
                     Some(Manager { gcm, tasks: Arc::default(), _open: open, began: clock::now() });
@@ -391,9 +405,15 @@ impl World {
             }
         }
         wrong.extend(self.truth.missing(&wanted.connections));
-        for (name, running) in self.processes.lock().iter() {
+        let processes = self.processes.lock();
+        let incarnation = |name: &Name| processes.get(name).map_or(0, |running| running.lcm.number);
+        let has_refused = |id: &ComponentId, others: &[&Name]| {
+            let incarnations: Vec<u64> = others.iter().map(|name| incarnation(name)).collect();
+            self.truth.has_refused(id, &incarnations)
+        };
+        for (name, running) in processes.iter() {
             let seen = running.lcm.seen();
-            wrong.extend(of_process(&graph, name, &seen));
+            wrong.extend(of_process(&graph, name, &seen, &has_refused));
             let epoch = graph.processes.get(name).map_or(0, |process| process.epoch);
             for (id, component) in &seen.components {
                 let moves = component.state == State::Active;
@@ -413,8 +433,14 @@ fn name(text: &str) -> Name {
     Name::parse(text).expect("a name")
 }
 
-/// Compares what is listed of a process with what it has.
-fn of_process(graph: &SystemGraph, name: &Name, seen: &crate::process::Seen) -> Vec<String> {
+/// Compares what is listed of a process with what it has. `has_refused`: a component did since these
+/// processes began.
+fn of_process(
+    graph: &SystemGraph,
+    name: &Name,
+    seen: &crate::process::Seen,
+    has_refused: &impl Fn(&ComponentId, &[&Name]) -> bool,
+) -> Vec<String> {
     let mut wrong = Vec::new();
     if graph.processes.get(name).is_none_or(|process| process.state != ProcessState::Attached) {
         wrong.push(format!("{name} is not attached: {:?}", graph.processes.get(name).map(|p| p.state)));
@@ -423,7 +449,8 @@ fn of_process(graph: &SystemGraph, name: &Name, seen: &crate::process::Seen) -> 
     for (id, component) in &listed {
         let has = seen.components.get(id);
         // A component that could not be made again says so, and waits for somebody to remove it.
-        if has.is_none() && component.state == State::Fault && !component.fault.is_empty() {
+        let is_excused = component.state == State::Fault && !component.fault.is_empty();
+        if has.is_none() && is_excused && has_refused(id, &[name]) {
             continue;
         }
         let is_same = |c: &Component| {
@@ -447,7 +474,9 @@ fn of_process(graph: &SystemGraph, name: &Name, seen: &crate::process::Seen) -> 
     let is_shown =
         |id: &u64| graph.proxies.iter().any(|((number, _), half)| number.0 == *id && !half.why.is_empty());
     for (id, connection) in &far {
-        if halves.get(id) != Some(connection) && !is_shown(id) {
+        let (client, server) = (&connection.client.component, &connection.server.component);
+        let is_excused = is_shown(id) && has_refused(client, &[&client.process, &server.process]);
+        if halves.get(id) != Some(connection) && !is_excused {
             wrong.push(format!("{name} lacks its half of {connection:?}"));
         }
     }
