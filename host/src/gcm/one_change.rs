@@ -16,12 +16,35 @@ use super::{Gcm, text};
 /// waited for.
 const GRACE: Duration = Duration::from_millis(50);
 
+/// A number that a connection gets when it is made.
+struct Connecting<'a> {
+    gcm: &'a Gcm,
+    number: u64,
+}
+
+impl<'a> Connecting<'a> {
+    fn begin(gcm: &'a Gcm, number: u64) -> Connecting<'a> {
+        gcm.inner.sessions.lock().connecting.insert(number);
+        Connecting { gcm, number }
+    }
+}
+
+impl Drop for Connecting<'_> {
+    fn drop(&mut self) {
+        self.gcm.inner.sessions.lock().connecting.remove(&self.number);
+    }
+}
+
 impl Gcm {
     /// Carries out one change: done by the LCM, then entered in the graph.
     pub(super) async fn one(&self, change: &Change, order: Order) -> Result<Report, Refusal> {
         let (process, deadline) = (&id_of(change).process, order.deadline);
         let session = self.inner.sessions.lock().holder(process);
         let before = self.sessions_of(change);
+        let connecting = match change {
+            Change::Connect { connection } => Some(Connecting::begin(self, connection.id.0)),
+            _ => None,
+        };
         if let Change::Connect { connection } = change {
             // Whatever becomes of it, some process may have it under this number.
             self.edit_if(|graph| {
@@ -52,8 +75,10 @@ impl Gcm {
                 return Err(refusal);
             }
         };
+        // From here on it is listed.
         let loose =
             self.done_in(process, session, change, &report).inspect_err(|_| self.half_done(change))?;
+        drop(connecting);
         if let Change::Destroy { id, .. } = change {
             self.inner.holds.lock().removed(id);
         }

@@ -294,7 +294,7 @@ fn take_in(
             as_on_record(sessions, graph, (who, claimed), may, &inventory, &mut taken);
         }
         Word::OfProcess => {
-            let cut = adopt(graph, who, &inventory);
+            let cut = adopt(graph, who, &inventory, &sessions.connecting);
             taken.strays.extend(cut.into_iter().map(|connection| (who.process.clone(), connection)));
             taken.is_brought = true;
             taken.owed = sessions.on_return.owed(graph, &who.process);
@@ -402,7 +402,12 @@ fn already(
 /// Enters the components and connections of a process of which there is no earlier word: those it was told to
 /// have, as far as it still has them. Returns the connections that it has to give up. [`settle`] handles
 /// those to other processes.
-fn adopt(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> Vec<Connection> {
+fn adopt(
+    graph: &mut SystemGraph,
+    who: &Registration,
+    inventory: &Inventory,
+    connecting: &BTreeSet<u64>,
+) -> Vec<Connection> {
     let mut cut = Vec::new();
     let Slice { mut components, mut connections } = who.slice.clone();
     let mine = |c: &Connection| c.is_near() && c.ends_in(&who.process);
@@ -425,7 +430,7 @@ fn adopt(graph: &mut SystemGraph, who: &Registration, inventory: &Inventory) -> 
             continue;
         }
         graph.next_connection = graph.next_connection.max(connection.id.0 + 1);
-        if graph.connections.contains_key(&connection.id) {
+        if graph.connections.contains_key(&connection.id) || connecting.contains(&connection.id.0) {
             log::warn!(
                 "connection {} from {} to {} is not known here: another one has its number",
                 connection.id.0,

@@ -235,8 +235,10 @@ pub(super) fn settle(
         }
         let theirs = sessions.brought.entry(peer.clone()).or_default();
         let agreed = theirs.iter().position(ends).map(|at| theirs.swap_remove(at)).is_some();
-        let free =
-            !graph.connections.contains_key(&connection.id) && graph.source_of(&connection.client).is_none();
+        let is_given = sessions.connecting.contains(&connection.id.0);
+        let free = !is_given
+            && !graph.connections.contains_key(&connection.id)
+            && graph.source_of(&connection.client).is_none();
         let believed = sessions.believed.contains(me) || sessions.believed.contains(peer);
         if agreed && free && believed && ends_known(graph, connection) {
             joined.push(connection.clone());

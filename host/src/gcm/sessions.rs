@@ -99,6 +99,8 @@ pub(super) struct Sessions {
     untold: BTreeMap<Name, Untold>,
     /// Components for which a Start was ordered and not answered: they may be moving, whatever was seen last.
     unanswered: BTreeSet<ComponentId>,
+    /// Numbers of connections that are only being made, which nobody else may bring along.
+    pub(super) connecting: BTreeSet<u64>,
     /// Number of the newest report of each component; see [`Report::number`].
     reported: BTreeMap<ComponentId, u64>,
 }
