@@ -82,6 +82,10 @@ impl<'a> Carrying<'a> {
                 Ok(_) => {}
                 // Its process makes up for it when it is back: it is to have what was decided.
                 Err(Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. }) => {
+                    // Until then it goes on, whatever is listed.
+                    if let Change::Run { id, from: State::Active, .. } = &change {
+                        self.gcm.inner.sessions.lock().not_answered(id);
+                    }
                     self.gcm.taken_back(&change);
                 }
                 Err(refusal) => {
