@@ -1,6 +1,7 @@
 //! Lines between processes and managers: each carries the messages of a side in their order, late, or never.
 //!
-//! Invariant: a line that is cut says so at once to both ends; one whose network is down says nothing.
+//! Invariant: a line that is cut says so at once to both ends; one whose network is down says nothing, each
+//! direction for itself.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -36,8 +37,15 @@ struct Lines {
     port: Option<Port>,
     /// No message takes long.
     is_calm: bool,
-    /// Processes whose messages are held up.
-    down: BTreeMap<Name, watch::Sender<bool>>,
+    /// Directions in which messages are held up.
+    down: BTreeMap<(Name, Towards), watch::Sender<bool>>,
+}
+
+/// Direction of messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Towards {
+    Manager,
+    Process,
 }
 
 /// The open port of a manager.
@@ -71,13 +79,21 @@ impl Network {
     }
 
     /// Holds the messages of a process up, or lets them go on.
-    pub(crate) fn down(&self, process: &Name, is_down: bool) {
-        self.truth.event(Kind::Network, || format!("{process}: down {is_down}"));
-        self.is_down(process, |down| _ = down.send_replace(is_down));
+    pub(crate) fn down(&self, process: &Name, towards: &[Towards], is_down: bool) {
+        self.truth.event(Kind::Network, || format!("{process}: down {is_down}, towards {towards:?}"));
+        towards.iter().for_each(|towards| {
+            self.is_down(process, *towards, |down| _ = down.send_replace(is_down));
+        });
     }
 
-    fn is_down<R>(&self, process: &Name, look: impl FnOnce(&watch::Sender<bool>) -> R) -> R {
-        look(self.lines.lock().down.entry(process.clone()).or_insert_with(|| watch::Sender::new(false)))
+    fn is_down<R>(
+        &self,
+        process: &Name,
+        towards: Towards,
+        look: impl FnOnce(&watch::Sender<bool>) -> R,
+    ) -> R {
+        let mut lines = self.lines.lock();
+        look(lines.down.entry((process.clone(), towards)).or_insert_with(|| watch::Sender::new(false)))
     }
 
     pub(crate) fn way(&self, process: Name) -> ModelWay {
@@ -102,12 +118,12 @@ impl Network {
     /// Carries messages until either end lets go.
     async fn carry<T: Message + Send + 'static>(
         self,
-        process: Name,
+        (process, towards): (Name, Towards),
         mut from: impl Stream<Item = T> + Send + Unpin + 'static,
         to: mpsc::Sender<T>,
         mut open: watch::Receiver<()>,
     ) {
-        let mut down = self.is_down(&process, watch::Sender::subscribe);
+        let mut down = self.is_down(&process, towards, watch::Sender::subscribe);
         let carried = async {
             loop {
                 // A line whose end is gone is let go of, if only that gets through.
@@ -177,8 +193,10 @@ impl Way for ModelWay {
     type Line = ModelLine;
 
     async fn dial(&self) -> Result<ModelLine, Refused> {
-        let mut down = self.network.is_down(&self.process, watch::Sender::subscribe);
-        self.network.passes(&mut down).await;
+        for towards in [Towards::Manager, Towards::Process] {
+            let mut down = self.network.is_down(&self.process, towards, watch::Sender::subscribe);
+            self.network.passes(&mut down).await;
+        }
         let port = self.network.lines.lock().port.clone();
         let port = port.ok_or_else(|| Refused::Unheard("connection refused".into()))?;
         Ok(ModelLine { network: self.network.clone(), process: self.process.clone(), port })
@@ -190,12 +208,14 @@ impl Line for ModelLine {
         let ModelLine { network, process, port: Port { edge, open } } = self;
         let (up, arriving) = mpsc::channel(UNDER_WAY);
         let messages = ReceiverStream::new(outgoing).map(Ok);
-        tokio::spawn(network.clone().carry(process.clone(), messages, up, open.clone()));
+        tokio::spawn(network.clone().carry((process.clone(), Towards::Manager), messages, up, open.clone()));
         let (down, inbound) = mpsc::channel(UNDER_WAY);
         // A manager takes a process in whether that waits or not.
         let taken = tokio::spawn(async move {
             let outbound = edge.hear(ReceiverStream::new(arriving)).await;
-            outbound.map(|outbound| tokio::spawn(network.carry(process, outbound, down, open)))
+            outbound.map(|outbound| {
+                tokio::spawn(network.carry((process, Towards::Process), outbound, down, open))
+            })
         });
         match taken.await {
             Ok(Ok(_)) => Ok(Box::pin(ReceiverStream::new(inbound))),

@@ -30,8 +30,6 @@ use crate::goes_on::Rest;
 use crate::latches::Latches;
 use crate::truth::{Kind, Truth};
 
-/// News that may wait.
-const NEWS: usize = 64;
 /// One of so many changes is refused by its component.
 const REFUSED: usize = 40;
 /// One of so many starts fails.
@@ -59,7 +57,7 @@ struct Has {
     components: BTreeMap<ComponentId, Component>,
     connections: BTreeMap<u64, Connection>,
     /// Halves of connections to other processes.
-    halves: BTreeMap<u64, (Connection, End)>,
+    halves: BTreeMap<u64, Half>,
     /// Decisions by which components were set in motion last.
     started: BTreeMap<ComponentId, Decision>,
     /// Halves that are only being made; closed when one is to be no more.
@@ -75,7 +73,16 @@ struct Has {
 pub(crate) struct Seen {
     pub(crate) components: BTreeMap<ComponentId, Component>,
     pub(crate) connections: BTreeMap<u64, Connection>,
-    pub(crate) halves: BTreeMap<u64, (Connection, End)>,
+    pub(crate) halves: BTreeMap<u64, Half>,
+}
+
+/// Half of a connection to another process.
+#[derive(Clone, Debug)]
+pub(crate) struct Half {
+    pub(crate) connection: Connection,
+    end: End,
+    /// Incarnation of the process at the other end.
+    pub(crate) peer: String,
 }
 
 impl ModelLcm {
@@ -85,6 +92,7 @@ impl ModelLcm {
         classes: Vec<Arc<ClassInfo>>,
         chance: Chance,
         truth: Truth,
+        news: usize,
     ) -> Arc<ModelLcm> {
         Arc::new_cyclic(|me| ModelLcm {
             me: me.clone(),
@@ -92,7 +100,7 @@ impl ModelLcm {
             number,
             has: Mutex::default(),
             latches: Latches::default(),
-            news: broadcast::Sender::new(NEWS),
+            news: broadcast::Sender::new(news),
             alive: watch::Sender::new(true),
             classes,
             chance,
@@ -244,8 +252,8 @@ impl ModelLcm {
         let gone: Vec<(u64, End)> = has
             .halves
             .iter()
-            .filter(|(_, (connection, _))| ends(connection))
-            .map(|(number, (_, end))| (*number, *end))
+            .filter(|(_, half)| ends(&half.connection))
+            .map(|(number, half)| (*number, half.end))
             .collect();
         for (connection, end) in gone {
             has.halves.remove(&connection);
@@ -356,7 +364,7 @@ impl ModelLcm {
         if let Some(near) = has.connections.remove(&number) {
             return has.report(&near.client.component);
         }
-        let (connection, end) = has.halves.remove(&number).ok_or_else(known)?;
+        let Half { connection, end, .. } = has.halves.remove(&number).ok_or_else(known)?;
         let report = has.report(&connection.port(end).component);
         drop(has);
         let _ = self.news.send(News::Half(HalfReport { connection: number, end, proxy: None }));
@@ -469,7 +477,7 @@ impl Lcm for ModelLcm {
 
     async fn link(&self, end: RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
         self.is_alive()?;
-        let connection = end.connection;
+        let (connection, peer) = (end.connection, end.card.instance);
         self.truth.event(Kind::Ordered, || format!("{} is ordered to link {connection:?}", self.name));
         let here = |port: &PortId| port.component.process == self.name;
         let end = if here(&connection.client) { End::Client } else { End::Server };
@@ -493,7 +501,7 @@ impl Lcm for ModelLcm {
         let report = {
             let mut has = self.has.lock();
             let report = has.report(&connection.port(end).component)?;
-            has.halves.insert(number, (connection, end));
+            has.halves.insert(number, Half { connection, end, peer });
             report
         };
         let _ = self.news.send(News::Half(self.half(number, end)));
@@ -541,7 +549,7 @@ impl Lcm for ModelLcm {
             card: Some(card),
             components,
             classes: self.classes.clone(),
-            halves: has.halves.iter().map(|(number, (_, end))| self.half(*number, *end)).collect(),
+            halves: has.halves.iter().map(|(number, half)| self.half(*number, half.end)).collect(),
             warnings: Warnings::default(),
             decision: self.latches.seen(),
             stopped_here: self.latches.stopped_here(),

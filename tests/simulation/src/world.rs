@@ -20,7 +20,7 @@ use crate::callers;
 use crate::chance::Chance;
 use crate::classes::{actuator, filter};
 use crate::disk::{Disk, Struck};
-use crate::network::Network;
+use crate::network::{Network, Towards};
 use crate::process::ModelLcm;
 use crate::truth::{Kind, Truth};
 
@@ -60,6 +60,10 @@ struct Pace {
     processes: u64,
     network: u64,
     disk: u64,
+    /// Longest time until the machine may stand still, ms.
+    machine: u64,
+    /// News of a process that may wait: of more some is lost, and asked for again.
+    news: usize,
 }
 
 impl Pace {
@@ -70,6 +74,8 @@ impl Pace {
             processes: most(1_000, 15_000),
             network: most(2_000, 20_000),
             disk: most(10_000, 60_000),
+            machine: most(20_000, 200_000),
+            news: *chance.one_of(&[2, 64, 64]),
         }
     }
 }
@@ -126,6 +132,7 @@ impl World {
                 running.spawn(self.clone().cuts(name.clone()));
             }
             running.spawn(self.clone().fills());
+            running.spawn(self.clone().stands_still());
             tokio::time::sleep(self.chance.ms(5_000, 40_000)).await;
             self.is_to_rest.send_replace(true);
             self.network.calm(true);
@@ -243,6 +250,20 @@ impl World {
         }
     }
 
+    /// Lets the whole machine stand still now and then.
+    async fn stands_still(self: Arc<World>) {
+        while !self.is_to_rest() {
+            self.waits((2_000, self.pace.machine)).await;
+            if self.is_to_rest() || !self.chance.once_in(2) {
+                continue;
+            }
+            let time = self.chance.ms(100, 5_000);
+            self.truth.event(Kind::Fails, || format!("the machine stands still for {time:?}"));
+            self.truth.counts("the machine stands still".into());
+            tokio::time::advance(time).await;
+        }
+    }
+
     // -- processes -----------------------------------------------------------------------------------------
 
     /// Runs a process, which ends now and then and is started again.
@@ -286,6 +307,7 @@ impl World {
             self.classes.clone(),
             self.chance.clone(),
             self.truth.clone(),
+            self.pace.news,
         );
         let mut who = Registration::new(name.clone(), format!("127.0.0.1:{number}"));
         (who.instance, who.pid) = (self.chance.number(), u32::try_from(number).unwrap_or(u32::MAX));
@@ -344,11 +366,16 @@ impl World {
             if self.is_to_rest() || !self.chance.once_in(2) {
                 continue;
             }
-            self.network.down(&name, true);
+            let towards: &[Towards] = match self.chance.below(4) {
+                0 => &[Towards::Manager],
+                1 => &[Towards::Process],
+                _ => &[Towards::Manager, Towards::Process],
+            };
+            self.network.down(&name, towards, true);
             let short = (10, 400);
             let time = if self.chance.once_in(2) { short } else { (500, 4_000) };
             self.waits(time).await;
-            self.network.down(&name, false);
+            self.network.down(&name, towards, false);
         }
     }
 
@@ -413,7 +440,7 @@ impl World {
         };
         for (name, running) in processes.iter() {
             let seen = running.lcm.seen();
-            wrong.extend(of_process(&graph, name, &seen, &has_refused));
+            wrong.extend(of_process(&graph, name, &seen, &incarnation, &has_refused));
             let epoch = graph.processes.get(name).map_or(0, |process| process.epoch);
             for (id, component) in &seen.components {
                 let moves = component.state == State::Active;
@@ -439,6 +466,7 @@ fn of_process(
     graph: &SystemGraph,
     name: &Name,
     seen: &crate::process::Seen,
+    incarnation: &impl Fn(&Name) -> u64,
     has_refused: &impl Fn(&ComponentId, &[&Name]) -> bool,
 ) -> Vec<String> {
     let mut wrong = Vec::new();
@@ -470,7 +498,7 @@ fn of_process(
         wrong.push(format!("{name}: listed are {near:?}, there are {:?}", seen.connections));
     }
     let far: BTreeMap<_, _> = far.into_iter().map(|c| (c.id.0, c)).collect();
-    let halves: BTreeMap<_, _> = seen.halves.iter().map(|(id, (connection, _))| (*id, connection)).collect();
+    let halves: BTreeMap<_, _> = seen.halves.iter().map(|(id, half)| (*id, &half.connection)).collect();
     let is_shown =
         |id: &u64| graph.proxies.iter().any(|((number, _), half)| number.0 == *id && !half.why.is_empty());
     for (id, connection) in &far {
@@ -478,6 +506,16 @@ fn of_process(
         let is_excused = is_shown(id) && has_refused(client, &[&client.process, &server.process]);
         if halves.get(id) != Some(connection) && !is_excused {
             wrong.push(format!("{name} lacks its half of {connection:?}"));
+        }
+    }
+    for half in seen.halves.values().filter(|half| far.values().any(|c| **c == half.connection)) {
+        let ends = [&half.connection.client.component, &half.connection.server.component];
+        let peer = ends.iter().map(|end| &end.process).find(|process| *process != name);
+        let is_same = peer.is_some_and(|peer| incarnation(peer).to_string() == half.peer);
+        let is_excused =
+            is_shown(&half.connection.id.0) && has_refused(ends[0], &[&ends[0].process, &ends[1].process]);
+        if !is_same && !is_excused {
+            wrong.push(format!("{name} has its half of {:?} with an earlier process", half.connection));
         }
     }
     for (id, connection) in halves.iter().filter(|(id, half)| far.get(id) != Some(half)) {
