@@ -4,6 +4,7 @@
 //! Invariant: what a caller was told to have failed does not stay: it is taken back, and where that cannot be
 //! done the list and the record say how it stands.
 
+use serde_json::Value;
 use trocar_lcm_api::{Decision, clock};
 use trocar_model::{
     Change, ComponentId, Connection, Entry, Name, Plan, Refusal, Request, State, SystemGraph, Verb, Which,
@@ -77,9 +78,12 @@ impl Gcm {
                     self.is_configured_so(id, to);
                     return Ok(());
                 }
-                let (from, to) = (to.clone(), component.config.clone());
+                let (from, back) = (to.clone(), component.config.clone());
                 let (from_state, to_state) = (component.state, component.state);
-                order(Change::Configure { id: id.clone(), from, to, from_state, to_state }).await
+                let done =
+                    order(Change::Configure { id: id.clone(), from, to: back, from_state, to_state }).await;
+                self.keeps_settings(id, to, &done);
+                done
             }
             Change::Run { id, verb, .. } => {
                 self.stands_late(id, *verb);
@@ -96,6 +100,15 @@ impl Gcm {
                 Ok(())
             }
             Change::Create { .. } | Change::Connect { .. } | Change::Disconnect { .. } => Ok(()),
+        }
+    }
+
+    /// Decides that a component has the settings that it has, where it refuses others: it may have failed
+    /// before they came to their turn.
+    pub(super) fn keeps_settings(&self, id: &ComponentId, has: &Value, given: &Result<(), Refusal>) {
+        let is_open = |refusal: &Refusal| matches!(refusal.reason(), "LCM_TIMEOUT" | "PROCESS_LOST" | "BUSY");
+        if given.as_ref().is_err_and(|refusal| !is_open(refusal)) {
+            self.is_configured_so(id, has);
         }
     }
 

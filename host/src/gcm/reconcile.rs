@@ -273,7 +273,12 @@ impl Gcm {
                     Ok(()) => note(&mut slice, &change),
                     Err(_) if !self.hears(process, session) => return None,
                     Err(refusal) if is_start(&change) => self.rests_all_the_same(&change, &refusal),
-                    Err(refusal) if time == TIMES => self.not_amended(&change, &refusal),
+                    Err(refusal) if time == TIMES => {
+                        self.not_amended(&change, &refusal);
+                        if let Change::Configure { id, from, .. } = &change {
+                            self.keeps_settings(id, from, &Err(refusal));
+                        }
+                    }
                     Err(refusal) => log::warn!("{}: {refusal}", text::line(&change)),
                 }
             }
