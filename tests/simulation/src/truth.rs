@@ -62,6 +62,9 @@ struct Happened {
     is_blind: bool,
     /// Components as the last accepted request has left them.
     left: BTreeMap<ComponentId, Left>,
+    /// Event before which nothing is known of others: an answer from memory to what was asked before says
+    /// nothing of them.
+    left_since: u64,
     goes_on: GoesOn,
     ids: Ids,
     /// Times that each kind of thing has happened.
@@ -354,6 +357,7 @@ impl Truth {
     /// `asked`: event at which that was asked.
     pub(crate) fn left(&self, id: &ComponentId, asked: u64, revision: u64, gain: Option<f64>) {
         let mut happened = self.0.lock();
+        let since = happened.left_since;
         match happened.left.get_mut(id) {
             Some(left) if left.revision > revision => {}
             Some(left) => {
@@ -361,6 +365,7 @@ impl Truth {
                 // Whatever was under way before it was asked.
                 left.unknown.take_if(|until| asked > *until);
             }
+            None if asked < since => {}
             None => _ = happened.left.insert(id.clone(), Left { revision, gain, unknown: None }),
         }
     }
@@ -387,6 +392,7 @@ impl Truth {
         happened.accepted.clear();
         happened.expected.clear();
         happened.left.clear();
+        happened.left_since = happened.events;
         happened.unrecorded.clear();
         happened.goes_on.forgets();
         happened.is_blind = true;
@@ -408,6 +414,7 @@ impl Truth {
         self.event(Kind::Rests, || "everything rests".into());
         let mut happened = self.0.lock();
         happened.left.retain(|_, left| left.unknown.is_none());
+        happened.left_since = happened.events;
         happened.is_blind = false;
         let (now, moving) = (happened.events, happened.moving.clone());
         happened.goes_on.rests(moving.into_iter(), connections.values(), now);
