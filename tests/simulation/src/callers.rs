@@ -127,9 +127,9 @@ async fn answered(
         answer
     });
     let answer = match tokio::time::timeout(within + GRACE, told).await {
-        Ok(Ok(answer)) => answer,
+        Ok(Ok(answer)) if !world.has_lost(gcm) => answer,
         // Its manager was killed.
-        Ok(Err(_)) => return nobody_knows(truth, &asked),
+        Ok(_) => return nobody_knows(truth, &asked),
         Err(_) => return truth.violated(format!("{:?} was not answered within {within:?}", asked.requests)),
     };
     truth.event(Kind::Answered, || format!("event {}: {answer:?}", asked.event));

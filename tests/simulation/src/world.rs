@@ -174,6 +174,14 @@ impl World {
         manager.as_ref().is_some_and(|manager| *manager.gcm.journal().borrow() == Standing::Written)
     }
 
+    /// Tells whether this manager is gone with decisions that were in memory alone, also some that it has just
+    /// answered.
+    pub(crate) fn has_lost(&self, gcm: &Gcm) -> bool {
+        let manager = self.manager.lock();
+        let is_there = manager.as_ref().is_some_and(|manager| manager.gcm.term() == gcm.term());
+        !is_there && *gcm.journal().borrow() != Standing::Written
+    }
+
     /// Tells whether processes may not know yet how late the messages of the manager are: it has just begun,
     /// and all that came of it was late.
     pub(crate) fn is_new(&self) -> bool {
