@@ -179,12 +179,16 @@ impl ModelLcm {
         has.report(id)
     }
 
-    /// Waits for the turn of a component.
+    /// Waits for the turn of a component, which may be removed meanwhile: another one of its name is not meant.
     async fn turn(&self, id: &ComponentId, deadline: Instant) -> Result<OwnedMutexGuard<()>, Refusal> {
         let turn = self.has.lock().turns.entry(id.clone()).or_default().clone();
         let turn = tokio::time::timeout_at(deadline.into(), turn.lock_owned()).await;
         self.is_alive()?;
-        turn.map_err(|_| self.late("its turn"))
+        let turn = turn.map_err(|_| self.late("its turn"))?;
+        match self.has.lock().turns.get(id) {
+            Some(current) if Arc::ptr_eq(current, OwnedMutexGuard::mutex(&turn)) => Ok(turn),
+            _ => Err(Refusal::ComponentNotFound { id: id.clone(), known: Vec::new() }),
+        }
     }
 
     fn refused(&self, id: ComponentId, entry: &'static str) -> Refusal {
@@ -217,7 +221,13 @@ impl ModelLcm {
     }
 
     async fn create(&self, id: ComponentId, component: Component, order: &Order) -> Result<Report, Refusal> {
-        let _turn = self.turn(&id, order.deadline).await?;
+        let _turn = loop {
+            match self.turn(&id, order.deadline).await {
+                // It waited for one that is gone.
+                Err(Refusal::ComponentNotFound { .. }) => {}
+                turn => break turn?,
+            }
+        };
         if self.has.lock().components.contains_key(&id) {
             return Err(Refusal::ComponentExists { id });
         }
