@@ -179,7 +179,8 @@ impl ModelLcm {
         has.report(id)
     }
 
-    /// Waits for the turn of a component, which may be removed meanwhile: another one of its name is not meant.
+    /// Waits for the turn of a component, which may be removed meanwhile: another one of its name is not
+    /// meant.
     async fn turn(&self, id: &ComponentId, deadline: Instant) -> Result<OwnedMutexGuard<()>, Refusal> {
         let turn = self.has.lock().turns.entry(id.clone()).or_default().clone();
         let turn = tokio::time::timeout_at(deadline.into(), turn.lock_owned()).await;

@@ -174,8 +174,8 @@ impl World {
         manager.as_ref().is_some_and(|manager| *manager.gcm.journal().borrow() == Standing::Written)
     }
 
-    /// Tells whether this manager is gone with decisions that were in memory alone, also some that it has just
-    /// answered.
+    /// Tells whether this manager is gone with decisions that were in memory alone, also some that it has
+    /// just answered.
     pub(crate) fn has_lost(&self, gcm: &Gcm) -> bool {
         let manager = self.manager.lock();
         let is_there = manager.as_ref().is_some_and(|manager| manager.gcm.term() == gcm.term());
