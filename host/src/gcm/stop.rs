@@ -167,14 +167,15 @@ impl Gcm {
                 let mine = |halted: Vec<Halted>| halted.into_iter().filter(|h| h.id.process == *process);
                 return told.map(|halted| Told { session, halted: mine(halted).collect() });
             };
-            let mut is_back = false;
+            let (mut is_back, later) = (false, self.started_after(process, halting.decision));
             self.edit_if(|graph| {
                 let mut sessions = self.inner.sessions.lock();
                 let holder = sessions.holder(process);
                 is_back = holder.is_some() && holder != session;
                 if !is_back {
                     let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
-                    for (id, component) in mine.filter(|(id, _)| halting.names(id)) {
+                    let stopped = mine.filter(|(id, _)| halting.names(id) && !later.contains(id));
+                    for (id, component) in stopped {
                         sessions.on_return.stop(id, component.state);
                     }
                 }
@@ -184,6 +185,14 @@ impl Gcm {
                 return Err(lost);
             }
         }
+    }
+
+    /// Returns the components of a process that run by a decision made after this one.
+    fn started_after(&self, process: &Name, decision: Decision) -> BTreeSet<ComponentId> {
+        let wanted = self.inner.ledger.wanted();
+        let mine = wanted.components.iter().filter(|(id, _)| id.process == *process);
+        let later = mine.filter(|(_, c)| c.grant.is_some_and(|grant| grant.decision > decision.0));
+        later.map(|(id, _)| id.clone()).collect()
     }
 
     /// Enters the components that a process has stopped.
