@@ -127,8 +127,9 @@ fn race(run: &Run, book: &mut Book) -> Result<(), String> {
 
 /// Kills the GCM while everybody asks, and has another one go on from its journal.
 fn kill_once(site: &mut Site, crowd: &Crowd) -> Result<(), String> {
-    site.gcm.kill();
+    // What is under way is lost; nobody asks where nobody answers.
     crowd.set(|(life, is_there)| (*life, *is_there) = (*life + 1, false));
+    site.gcm.kill();
     site.gcm_again()?;
     site.await_all()?;
     crowd.set(|(_, is_there)| *is_there = true);
