@@ -1,5 +1,6 @@
-//! The `trocar.v1` gRPC API: messages, clients and servers generated from `proto/trocar/v1`; and the messages
-//! of the journal, from `proto/trocar/journal/v1`.
+//! The `trocar.v1` gRPC API: messages, clients and servers generated from `proto/trocar/v1`; the messages of
+//! the journal, from `proto/trocar/journal/v1`; and the part of etcd's API that a GCM calls, from
+//! `proto/etcdserverpb`.
 //!
 //! Invariant: nothing here is written by hand but this page; `tests/generated.rs` fails when the committed
 //! code and the `.proto` files differ (`TROCAR_BLESS=1 cargo test -p trocar-proto` rewrites it).
@@ -19,6 +20,12 @@ pub mod journal {
     pub mod v1 {
         include!("gen/trocar.journal.v1.rs");
     }
+}
+
+/// Messages and clients of etcd's API, version 3: what a GCM with its journal there calls.
+#[allow(clippy::all, unreachable_pub, missing_docs, rustdoc::all)]
+pub mod etcd {
+    include!("gen/etcdserverpb.rs");
 }
 
 /// Encoded `FileDescriptorSet` of `trocar.v1` and everything it imports, with comments: what reflection

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use sha2::{Digest, Sha256};
 
-const FILES: [&str; 7] = [
+const FILES: [&str; 8] = [
     "trocar/v1/types.proto",
     "trocar/v1/gcm.proto",
     "trocar/v1/attach.proto",
@@ -16,8 +16,9 @@ const FILES: [&str; 7] = [
     "trocar/v1/plugin.proto",
     "trocar/v1/guest.proto",
     "trocar/journal/v1/journal.proto",
+    "etcdserverpb/rpc.proto",
 ];
-const GENERATED: [&str; 3] = ["trocar.v1.rs", "trocar.v1.bin", "trocar.journal.v1.rs"];
+const GENERATED: [&str; 4] = ["trocar.v1.rs", "trocar.v1.bin", "trocar.journal.v1.rs", "etcdserverpb.rs"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))

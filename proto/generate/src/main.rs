@@ -18,7 +18,9 @@ use sha2::{Digest, Sha256};
 const FILES: [&str; 6] = ["types", "gcm", "attach", "interact", "plugin", "guest"];
 const JOURNAL: &str = "trocar/journal/v1/journal.proto";
 const JOURNAL_CODE: &str = "trocar.journal.v1.rs";
-const GENERATED: [&str; 3] = ["trocar.v1.rs", "trocar.v1.bin", JOURNAL_CODE];
+const ETCD: &str = "etcdserverpb/rpc.proto";
+const ETCD_CODE: &str = "etcdserverpb.rs";
+const GENERATED: [&str; 4] = ["trocar.v1.rs", "trocar.v1.bin", JOURNAL_CODE, ETCD_CODE];
 const SUMS: &str = "sha256";
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
@@ -65,9 +67,10 @@ fn generate(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
         .compile_fds(set.clone())?;
     fs::write(out.join("trocar.v1.bin"), set.encode_to_vec())?;
     journal(root, out)?;
+    etcd(root, out)?;
 
     let files = FILES.map(|file| format!("trocar/v1/{file}.proto"));
-    let sources = files.into_iter().chain([JOURNAL.to_owned()]).map(|file| (file, root.to_path_buf()));
+    let sources = files.into_iter().chain([JOURNAL.to_owned(), ETCD.to_owned()]).map(|file| (file, root.to_path_buf()));
     let results = GENERATED.map(|name| (name.to_owned(), out.to_path_buf()));
     let mut sums = String::new();
     for (name, folder) in sources.into_iter().chain(results) {
@@ -93,6 +96,20 @@ fn journal(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
         .emit_rerun_if_changed(false)
         .compile_fds(compiler.file_descriptor_set())?;
     fs::copy(all.0.join(JOURNAL_CODE), out.join(JOURNAL_CODE))?;
+    Ok(())
+}
+
+/// Writes the code of etcd's API, which trocar calls and no port serves.
+fn etcd(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
+    let mut compiler = protox::Compiler::new([root])?;
+    compiler.include_source_info(true);
+    compiler.open_file(ETCD)?;
+    tonic_prost_build::configure()
+        .build_server(false)
+        .build_transport(false)
+        .out_dir(out)
+        .emit_rerun_if_changed(false)
+        .compile_fds(compiler.file_descriptor_set())?;
     Ok(())
 }
 

@@ -141,6 +141,22 @@ pub struct Snapshot {
     #[prost(uint64, tag = "12")]
     pub term: u64,
 }
+/// The newest snapshot in a store whose values are bounded: it lies there in parts.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct SnapshotParts {
+    /// Schema it was written by.
+    #[prost(uint32, tag = "1")]
+    pub schema: u32,
+    /// Number of this snapshot among all of the journal, from 1; its parts lie under it.
+    #[prost(uint64, tag = "2")]
+    pub generation: u64,
+    /// Number of parts.
+    #[prost(uint32, tag = "3")]
+    pub parts: u32,
+    /// sha-256 of all parts as one, 32 bytes.
+    #[prost(bytes = "vec", tag = "4")]
+    pub hash: ::prost::alloc::vec::Vec<u8>,
+}
 /// An answer that is kept by the id of its request.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Remembered {

@@ -4976,6 +4976,9 @@ pub struct Heartbeat {
     /// From the GCM: revision that is on record.
     #[prost(uint64, tag = "2")]
     pub revision: u64,
+    /// From a GCM among several: its lead is in doubt, so that another may lead.
+    #[prost(bool, tag = "3")]
+    pub doubted: bool,
 }
 /// Status of everything an LCM has.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -198,7 +198,7 @@ impl Attached {
                         continue;
                     }
                     sequence += 1;
-                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence, revision: self.gcm.revision_on_record() });
+                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence, revision: self.gcm.revision_on_record(), ..Default::default() });
                     // A full queue means it does not read: then its own lease ends.
                     let _ = out.try_send(Ok(message(beat)));
                 }

@@ -232,7 +232,7 @@ async fn a_silent_process_is_lost_although_its_stream_stands() {
 async fn a_stream_that_does_not_begin_with_hello_is_refused() {
     let s = System::start().await;
     let mut client = AttachServiceClient::new(s.channel.clone());
-    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence: 1, revision: 0 });
+    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence: 1, ..Default::default() });
     let status =
         client.attach(tokio_stream::once(v1::AttachRequest { message: Some(beat) })).await.unwrap_err();
     assert_eq!(reason(&status), "ARGUMENT_INVALID");

@@ -150,7 +150,7 @@ impl Session {
                     }
                     silent += 1;
                     sequence += 1;
-                    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence, revision: 0 });
+                    let beat = attach_request::Message::Heartbeat(v1::Heartbeat { sequence, ..v1::Heartbeat::default() });
                     // A full queue means the GCM does not read: then its own lease ends.
                     let _ = self.out.try_send(message(beat));
                 }
