@@ -163,7 +163,7 @@ fn failure(fault: Fault) -> Failure {
              it away: a GCM begins a new journal where there is none",
         ),
         Unusable::Newer => ("JOURNAL_NEWER", "use the release of trocar that wrote it; the file is unharmed"),
-        Unusable::Now | Unusable::InUse | Unusable::NotSynced => (
+        Unusable::Now | Unusable::InUse | Unusable::NotSynced | Unusable::NotLeading => (
             "JOURNAL_UNREADABLE",
             "look at the file and the rights of its directory, or name another one: --state DIR",
         ),

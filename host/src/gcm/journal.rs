@@ -76,15 +76,25 @@ pub enum Unusable {
     InUse,
     /// Records may be lost although the system said that they were written.
     NotSynced,
+    /// Another GCM may use it: this one has lost the lead of its system.
+    NotLeading,
 }
 
 /// A failure of a store.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoreError {
+    /// Its file, or its place elsewhere: `etcd://...`.
     pub file: PathBuf,
     pub unusable: Unusable,
     /// One sentence: what is wrong, at which record and where.
     pub why: String,
+}
+
+impl StoreError {
+    /// Tells whether it is no file of this machine.
+    pub fn is_remote(&self) -> bool {
+        self.file.starts_with("etcd:")
+    }
 }
 
 impl fmt::Display for StoreError {

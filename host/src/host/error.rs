@@ -82,6 +82,7 @@ impl HostError {
             HostError::Journal(e) => match e.unusable {
                 Unusable::Newer => "JOURNAL_NEWER",
                 Unusable::InUse => "STATE_IN_USE",
+                Unusable::NotLeading => "NOT_LEADER",
                 Unusable::Damaged | Unusable::Now | Unusable::NotSynced => "JOURNAL_DAMAGED",
             },
             HostError::Linked { .. } => "PLUGIN_LINKED",
@@ -106,6 +107,11 @@ impl HostError {
                     "use that release; or choose another directory with --state, or begin anew with --fresh, which keeps the old journal beside the new one".into()
                 }
                 Unusable::InUse => "end that process first, or choose another directory with --state".into(),
+                Unusable::NotLeading => "start it again: it follows the GCM that leads now".into(),
+                _ if e.is_remote() => {
+                    "name another prefix with --store, or give etcd back what it had (`etcdctl snapshot restore`)"
+                        .into()
+                }
                 Unusable::Damaged | Unusable::Now | Unusable::NotSynced => format!(
                     "`trocar journal verify --state {}` says what can be read; --fresh begins anew and keeps the old journal beside the new one",
                     e.file.parent().unwrap_or(&e.file).display()

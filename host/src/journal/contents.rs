@@ -3,15 +3,13 @@
 //! Invariant: identity, head, records and snapshot change together or not at all; a record is only ever added
 //! behind the head, and only whole records go, the oldest first.
 
-use prost::Message;
 use redb::{ReadTransaction, ReadableTable, ReadableTableMetadata, TableDefinition, WriteTransaction};
-use trocar_proto::journal::v1 as wire;
 
-use super::SCHEMA;
-use super::chain::{self, Hash};
+use super::chain::Hash;
 use super::codec::{self, Folded};
 use super::fault::{Bad, Res};
-use crate::gcm::{Loaded, Record, Snapshot};
+use super::frame::{Bounds, Frame, Head, Identity, Kept, Walk};
+use crate::gcm::{Loaded, Snapshot};
 
 const JOURNAL: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("journal");
 const RECORDS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("records");
@@ -20,65 +18,13 @@ const SNAPSHOTS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("snapsho
 const IDENTITY: &str = "identity";
 const HEAD: &str = "head";
 
-/// The journal itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Identity {
-    /// Random.
-    pub id: u128,
-    /// Time of day at which it was made, ns since 1970 (UTC).
-    pub created_ns: u64,
-}
-
-/// A record that is kept.
-#[derive(Clone, Debug)]
-pub struct Kept {
-    /// The first is 1.
-    pub number: u64,
-    /// Hash of the record as it is encoded.
-    pub hash: Hash,
-    pub record: Record,
-}
-
-/// The newest record, and all that is kept.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Head {
-    /// 0: no record.
-    pub(super) number: u64,
-    pub(super) hash: Hash,
-    /// All records, bytes.
-    pub(super) bytes: u64,
-}
-
-/// Records that the audit keeps of those a snapshot folds, and how many there may be before.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
-    pub(super) records: u64,
-    pub(super) bytes: u64,
-    /// Bytes of all records up to which more are added.
-    pub(super) unfolded: u64,
-}
-
-/// Identity and head.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Frame {
-    pub(super) identity: Identity,
-    pub(super) head: Head,
-    /// Stands in the first record for the hash of the one before it.
-    origin: Hash,
-}
-
 /// Makes the tables of a new journal, and returns their head.
 pub(super) fn lay(txn: &WriteTransaction, identity: &Identity) -> Res<Head> {
-    let message = wire::Identity {
-        schema: SCHEMA,
-        id: identity.id.to_be_bytes().to_vec(),
-        created_ns: identity.created_ns,
-    };
-    let bytes = message.encode_to_vec();
+    let bytes = identity.encoded();
     txn.open_table(RECORDS)?;
     txn.open_table(SNAPSHOTS)?;
     txn.open_table(JOURNAL)?.insert(IDENTITY, bytes.as_slice())?;
-    let head = Head { number: 0, hash: Hash::of(&bytes), bytes: 0 };
+    let head = Head::of_none(&bytes);
     put_head(txn, &head)?;
     Ok(head)
 }
@@ -90,16 +36,7 @@ pub(super) fn frame(txn: &ReadTransaction) -> Res<Frame> {
         let row = table.get(name)?.ok_or_else(|| Bad::damaged(format!("it has no {name}")))?;
         Ok::<_, Bad>(row.value().to_vec())
     };
-    let identity = row(IDENTITY)?;
-    codec::check_schema(&identity, "the journal")?;
-    let origin = Hash::of(&identity);
-    let identity: wire::Identity = codec::decoded(&identity)?;
-    let id = identity.id.as_slice().try_into().map_err(|_| Bad::damaged("its id has not 16 bytes"))?;
-    let identity = Identity { id: u128::from_be_bytes(id), created_ns: identity.created_ns };
-    let head: wire::Head = codec::decoded(&row(HEAD)?)?;
-    let hash = chain::read(&head.hash, "the hash of the newest record")?;
-    let head = Head { number: head.number, hash, bytes: head.bytes };
-    Ok(Frame { identity, head, origin })
+    Frame::read(&row(IDENTITY)?, &row(HEAD)?)
 }
 
 /// Reads the newest snapshot.
@@ -145,44 +82,14 @@ pub(super) fn walk(
     each: &mut dyn FnMut(Kept) -> bool,
 ) -> Res<()> {
     let table = txn.open_table(RECORDS)?;
-    let mut last = after;
+    let mut walk = Walk::new(frame, after);
     for row in table.range(from..)? {
         let (number, bytes) = row?;
-        let (number, bytes) = (number.value(), bytes.value());
-        let wrong = |why: String| Bad::damaged(why).in_record(number);
-        let follows = last.map(|(last, _)| last + 1);
-        if let Some(missing) = follows.filter(|follows| *follows != number) {
-            return Err(Bad::damaged("it is missing").in_record(missing));
-        }
-        let linked = codec::record_in(bytes).map_err(|bad| bad.in_record(number))?;
-        if linked.number != number {
-            return Err(wrong(format!("it says that it is record {}", linked.number)));
-        }
-        let before = if number == 1 { Some(frame.origin) } else { last.map(|(_, hash)| hash) };
-        if before.is_some_and(|before| before != linked.before) {
-            return Err(wrong("it does not follow the record before it: one of the two was changed".into()));
-        }
-        let hash = Hash::of(bytes);
-        if number == frame.head.number && hash != frame.head.hash {
-            return Err(wrong("it was changed: it has another hash than the journal's head says".into()));
-        }
-        if number > frame.head.number {
-            return Err(wrong(format!("the journal's head is record {}", frame.head.number)));
-        }
-        last = Some((number, hash));
-        if !each(Kept { number, hash, record: linked.record }) {
+        if !each(walk.next(number.value(), bytes.value())?) {
             return Ok(());
         }
     }
-    let (number, hash) = last.unwrap_or((0, frame.origin));
-    if number != frame.head.number {
-        return Err(Bad::damaged("it is missing").in_record(number + 1));
-    }
-    if hash != frame.head.hash {
-        let why = format!("the snapshot of record {number} and the journal's head name different hashes");
-        return Err(Bad::damaged(why));
-    }
-    Ok(())
+    walk.end()
 }
 
 /// Adds encoded records behind the head, and returns the new one, if all then have no more than `most` bytes.
@@ -198,14 +105,9 @@ pub(super) fn add(
     let mut table = txn.open_table(RECORDS)?;
     for at in 0..count {
         let bytes = made(at, head.number + 1, &head.hash);
-        if head.bytes + bytes.len() as u64 > most {
-            let why =
-                format!("its records would have more than {most} bytes: a snapshot has to be kept first");
-            return Err(Bad::now(why));
-        }
-        table.insert(head.number + 1, bytes.as_slice())?;
-        head =
-            Head { number: head.number + 1, hash: Hash::of(&bytes), bytes: head.bytes + bytes.len() as u64 };
+        let next = head.with(&bytes, most)?;
+        table.insert(next.number, bytes.as_slice())?;
+        head = next;
     }
     drop(table);
     put_head(txn, &head)?;
@@ -263,7 +165,6 @@ pub(super) fn hash_of(txn: &ReadTransaction, number: u64, frame: &Frame) -> Res<
 }
 
 fn put_head(txn: &WriteTransaction, head: &Head) -> Res<()> {
-    let message = wire::Head { number: head.number, hash: head.hash.bytes().to_vec(), bytes: head.bytes };
-    txn.open_table(JOURNAL)?.insert(HEAD, message.encode_to_vec().as_slice())?;
+    txn.open_table(JOURNAL)?.insert(HEAD, head.encoded().as_slice())?;
     Ok(())
 }

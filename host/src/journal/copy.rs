@@ -12,8 +12,9 @@ use redb::backends::InMemoryBackend;
 use redb::{Builder, Database, ReadableDatabase, StorageBackend};
 
 use super::chain::Hash;
-use super::contents::{self, Frame};
+use super::contents;
 use super::fault::{Bad, Res};
+use super::frame::Frame;
 use crate::gcm::Unusable;
 
 /// Longest file that is read, bytes. No longer one is written, either.

@@ -5,7 +5,7 @@
 use serde_json::{Map, Value, json as object};
 use trocar_model::Entry;
 
-use super::contents::Kept;
+use super::frame::Kept;
 use super::lines::{lines, time};
 use crate::gcm::{Answer, Asked};
 

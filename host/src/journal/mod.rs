@@ -1,7 +1,7 @@
-//! The journal of a GCM in one file: what was decided, by whom, and what became of it.
+//! The journal of a GCM, in one file or in etcd: what was decided, by whom, and what became of it.
 //!
-//! Invariant: the file alone says what was decided: each record holds the hash of the one before it, and what
-//! cannot be read whole is refused as it is, never guessed.
+//! Invariant: the store alone says what was decided: each record holds the hash of the one before it, and
+//! what cannot be read whole is refused as it is, never guessed.
 
 mod aside;
 mod chain;
@@ -9,7 +9,9 @@ mod codec;
 mod contents;
 mod copy;
 mod disk;
+mod etcd;
 mod fault;
+mod frame;
 mod json;
 mod lines;
 mod opening;
@@ -21,8 +23,9 @@ mod tests;
 
 pub use aside::{is_aside, put_aside};
 pub use chain::Hash;
-pub use contents::{Identity, Kept};
+pub use etcd::{Campaign, Candidate, EtcdPlace, EtcdStore, Leader, PlaceError, Tenure, Won};
 pub use fault::Fault;
+pub use frame::{Identity, Kept};
 pub use json::json;
 pub use lines::{lines, time};
 pub use store::RedbStore;

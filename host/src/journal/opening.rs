@@ -14,12 +14,13 @@ use redb::{Builder, Database, WriteTransaction};
 use trocar_rt::os::{Unshared, unshared};
 
 use super::aside::put_aside;
-use super::contents::{self, Frame};
+use super::contents;
 use super::copy::{self, Copy, caught};
 #[cfg(test)]
 use super::disk::Faults;
 use super::disk::{Answers, Disk};
 use super::fault::{Bad, Res};
+use super::frame::Frame;
 use crate::gcm::Unusable;
 
 /// Pages kept in memory while it is written, bytes: only the newest are read again.

@@ -5,13 +5,13 @@
 //! another journal, since it has all that was decided.
 
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use redb::WriteTransaction;
 use trocar_model::Wanted;
 
-use super::contents::{self, Bounds, Head, Identity};
+use super::contents;
 use super::fault::{Bad, Res};
+use super::frame::{Bounds, Head, Identity};
 use super::opening::{Open, Opener, is_free, make_folder};
 use super::{FILE, codec};
 use crate::gcm::{Loaded, Record, Snapshot, Store, StoreError, Unusable};
@@ -67,7 +67,7 @@ impl RedbStore {
     fn read(&mut self) -> Res<Loaded> {
         (self.open, self.known) = (None, None);
         if !self.is_there()? {
-            let identity = new_identity()?;
+            let identity = Identity::new()?;
             self.opener.create(&self.file, false, |txn| contents::lay(txn, &identity))?;
         }
         let (open, (known, loaded)) = self.opener.load(&self.file, |copy, frame| {
@@ -169,7 +169,7 @@ impl RedbStore {
     /// Begins another journal with that snapshot; one that is there is put aside.
     fn begin(&mut self, snapshot: &Snapshot, is_there: bool) -> Res<()> {
         self.open = None;
-        let (identity, bounds) = (new_identity()?, self.bounds);
+        let (identity, bounds) = (Identity::new()?, self.bounds);
         make_folder(&self.file)?;
         let head = self.opener.create(&self.file, is_there, |txn| {
             let head = contents::lay(txn, &identity)?;
@@ -190,14 +190,6 @@ impl RedbStore {
             bad.of(&self.file).error
         })
     }
-}
-
-fn new_identity() -> Res<Identity> {
-    let mut id = [0; 16];
-    rustix::rand::getrandom(&mut id, rustix::rand::GetRandomFlags::empty())
-        .map_err(|e| Bad::now(format!("no random numbers for its id: {e}")))?;
-    let created = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    Ok(Identity { id: u128::from_be_bytes(id), created_ns: created.as_nanos() as u64 })
 }
 
 impl Store for RedbStore {

@@ -3,9 +3,10 @@
 #![allow(clippy::unwrap_used)]
 
 mod anew;
+pub(super) mod conformance;
 mod damage;
 mod golden;
-mod kinds;
+pub(super) mod kinds;
 mod storing;
 
 use std::path::Path;
@@ -16,7 +17,7 @@ use super::RedbStore;
 use crate::gcm::{Loaded, Store};
 
 /// The fold of all that was loaded.
-fn fold(loaded: &Loaded) -> Wanted {
+pub(super) fn fold(loaded: &Loaded) -> Wanted {
     let mut wanted = loaded.snapshot.wanted.clone();
     for record in &loaded.records {
         wanted.on(&record.entry);
@@ -30,6 +31,6 @@ fn loaded(dir: &Path) -> Loaded {
 }
 
 /// All of a value that can be compared.
-fn said(value: &impl std::fmt::Debug) -> String {
+pub(super) fn said(value: &impl std::fmt::Debug) -> String {
     format!("{value:#?}")
 }

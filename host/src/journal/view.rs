@@ -7,9 +7,10 @@
 
 use std::path::{Path, PathBuf};
 
-use super::contents::{self, Frame, Identity, Kept};
+use super::contents;
 use super::copy::{self, Copy};
 use super::fault::{Bad, Fault, Res};
+use super::frame::{Frame, Identity, Kept};
 use super::{FILE, Hash};
 
 /// A journal as it was at one moment.

@@ -34,6 +34,8 @@ const NOT_YET: &[(&str, &str)] = &[
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
     ("PROCESS_NOT_UP", "it needs a process that cannot come up: processes/isolated.rs"),
     ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),
+    ("NOT_LEADER", "it needs several managers: etcd.rs"),
+    ("JOURNAL_UNAVAILABLE", "it needs several managers: etcd.rs"),
     ("NO_MEMORY", "it needs frames that no machine has the memory for: changing_ports.rs"),
     ("NO_THREAD", "it needs a machine that is out of threads"),
     ("PEER_LOST", "it needs a caller who is waiting: a_caller_whose_component_is_taken_away_gets_an_answer"),

@@ -27,6 +27,8 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("PROGRAMS_NOT_ALLOWED", "devices/video.rs starts the host as it says"),
     ("FORBIDDEN", "hostile/other_user.rs asks with what `trocar token` prints"),
     ("STOP_NOT_TOLD", "its help is to wait for a process that stands still: processes/stopping.rs"),
+    ("NOT_LEADER", "it needs several managers: etcd.rs"),
+    ("JOURNAL_UNAVAILABLE", "its help is to wait: etcd.rs"),
     ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
     ("NO_MEMORY", "it needs frames that no machine has the memory for: changing_ports.rs"),
     ("NO_THREAD", "it needs a machine that is out of threads"),

@@ -292,6 +292,42 @@ macro_rules! naming {
         example: ManagedElsewhere { at: "127.0.0.1:50551".into() },
     }
 
+    /// Several GCMs stand for one system, and this one does not decide. `leader` is empty where nobody knows
+    /// who does; `why` then says what is known.
+    NotLeader { leader: String, why: String } => {
+        code: Unavailable, reason: "NOT_LEADER",
+        sentence: match leader.as_str() {
+            "" => format!("this GCM does not lead its system: {why}"),
+            leader => format!("this GCM does not lead its system: the GCM at {leader} does"),
+        },
+        help: match leader.as_str() {
+            "" => "Ask again in a moment: with the addresses of all GCMs, `--gcm A,B,C`, trocar finds the one that leads.".to_owned(),
+            leader => format!("Ask there: `--gcm {leader}`. With the addresses of all GCMs, `--gcm A,B,C`, trocar finds the one that leads."),
+        },
+        metadata: put("leader", leader),
+        example: NotLeader { leader: "127.0.0.1:50552".into(), why: String::new() },
+    }
+
+    /// Several GCMs stand for one system, and what this one decides is not on record: another would not know
+    /// it.
+    JournalUnavailable {
+        /// True: it was done nevertheless, or may yet be on record.
+        carried_out: bool,
+        why: String,
+    } => {
+        code: Unavailable, reason: "JOURNAL_UNAVAILABLE",
+        sentence: match carried_out {
+            true => format!("it was carried out, but nobody knows whether it is on record: {why}"),
+            false => format!("nothing was changed, since nothing can be put on record: {why}"),
+        },
+        help: match carried_out {
+            true => "See with `trocar ls` what is so when a GCM leads again; what is not on record is taken back then.",
+            false => "Ask again when the journal can be written; a Stop works meanwhile.",
+        },
+        metadata: put("carried_out", carried_out).put("why", why),
+        example: JournalUnavailable { carried_out: false, why: "etcd gave no answer within 2000 ms".into() },
+    }
+
     /// No plugin or class of that name in any process.
     PluginNotFound { name: String, known: Vec<String> } => {
         code: NotFound, reason: "PLUGIN_NOT_FOUND",

@@ -4,8 +4,8 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use super::super::contents::Bounds;
 use super::super::copy::MOST;
+use super::super::frame::Bounds;
 use super::super::opening::Opener;
 use super::super::{FILE, RedbStore, View};
 use super::{fold, kinds, loaded, said};

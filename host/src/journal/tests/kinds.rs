@@ -133,7 +133,7 @@ fn grant() -> Grant {
 }
 
 /// Records with each kind of entry, with and without an answer, in an order that could be.
-pub(super) fn records() -> Vec<Record> {
+pub(in crate::journal) fn records() -> Vec<Record> {
     let came = |name: &str, epoch| Entry::Came {
         process: Name::parse(name).unwrap(),
         incarnation: Incarnation { instance: u128::from(epoch) << 100 | 5, epoch },
@@ -196,7 +196,7 @@ pub(super) fn records() -> Vec<Record> {
 }
 
 /// A snapshot of the first records, with answers.
-pub(super) fn snapshot(records: &[Record]) -> Snapshot {
+pub(in crate::journal) fn snapshot(records: &[Record]) -> Snapshot {
     let mut wanted = Wanted::default();
     records.iter().for_each(|record| wanted.on(&record.entry));
     wanted.term = records.last().map_or(0, |record| record.term);

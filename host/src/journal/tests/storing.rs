@@ -6,10 +6,11 @@ use std::path::Path;
 use prost::Message;
 use trocar_proto::journal::v1 as wire;
 
-use super::super::contents::{self, Bounds, Head};
+use super::super::contents;
+use super::super::frame::{Bounds, Head};
 use super::super::opening::Opener;
 use super::super::{FILE, RedbStore, SCHEMA, View, codec};
-use super::{fold, kinds, loaded, said};
+use super::{kinds, loaded, said};
 use crate::gcm::{Loaded, Record, Snapshot, Store, Unusable};
 
 const ALL: Bounds = Bounds { records: 1000, bytes: 1 << 30, unfolded: 1 << 30 };
@@ -28,37 +29,25 @@ fn assert_has(loaded: &Loaded, records: &[Record]) {
 }
 
 #[test]
-fn what_was_added_is_there_again_in_its_order() {
-    let (dir, records) = (tempfile::tempdir().unwrap(), kinds::records());
+fn a_journal_keeps_its_identity() {
+    let dir = tempfile::tempdir().unwrap();
+    let refused = RedbStore::new(dir.path()).append(&kinds::records()).unwrap_err();
+    assert_eq!(refused.unusable, Unusable::Now, "{refused}");
+    assert!(!dir.path().join(FILE).exists(), "what was not loaded is not begun");
+    let identity = opened(dir.path()).identity().unwrap();
     let mut store = RedbStore::new(dir.path());
-    assert!(store.load().unwrap().records.is_empty());
-    let identity = store.identity().unwrap();
-    store.append(&records[..3]).unwrap();
-    store.append(&[]).unwrap();
-    store.append(&records[3..4]).unwrap();
-    drop(store);
-    let mut store = RedbStore::new(dir.path());
-    assert_has(&store.load().unwrap(), &records[..4]);
+    store.load().unwrap();
     assert_eq!(store.identity().unwrap(), identity, "the journal is the same one");
-    store.append(&records[4..]).unwrap();
-    drop(store);
-    assert_has(&loaded(dir.path()), &records);
 }
 
 #[test]
-fn a_snapshot_takes_the_place_of_the_records_before_it() {
+fn what_a_snapshot_folds_stays_in_the_audit() {
     let (dir, records) = (tempfile::tempdir().unwrap(), kinds::records());
     let mut store = opened(dir.path());
-    store.keep(&Snapshot::default()).unwrap();
     store.append(&records[..5]).unwrap();
     store.keep(&kinds::snapshot(&records[..5])).unwrap();
     store.append(&records[5..7]).unwrap();
-    let before = kinds::snapshot(&records[..7]);
     drop(store);
-    let read = loaded(dir.path());
-    assert_has(&read, &records[5..7]);
-    assert_eq!(fold(&read), before.wanted);
-    assert_eq!(said(&read.snapshot), said(&kinds::snapshot(&records[..5])));
     let verified = View::open(dir.path()).unwrap().verify().unwrap();
     assert_eq!((verified.records, verified.first, verified.last), (7, 1, 7));
     assert_eq!(
@@ -183,18 +172,6 @@ fn another_journal_in_its_place_is_refused() {
     assert_eq!(replaced.unusable, Unusable::Now, "{replaced}");
     let other = store.append(&kinds::records()).unwrap_err();
     assert_eq!(other.unusable, Unusable::Damaged, "{other}");
-}
-
-#[test]
-fn nothing_is_added_to_what_was_not_loaded() {
-    let dir = tempfile::tempdir().unwrap();
-    let refused = RedbStore::new(dir.path()).append(&kinds::records()).unwrap_err();
-    assert_eq!(refused.unusable, Unusable::Now, "{refused}");
-    assert!(!dir.path().join(FILE).exists());
-    opened(dir.path()).append(&kinds::records()).unwrap();
-    let refused = RedbStore::new(dir.path()).append(&kinds::records()).unwrap_err();
-    assert_eq!(refused.unusable, Unusable::Now, "{refused}");
-    assert_has(&loaded(dir.path()), &kinds::records());
 }
 
 /// Writes into a journal as a later release might.
