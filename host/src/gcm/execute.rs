@@ -48,7 +48,11 @@ impl Gcm {
         deadline: Instant,
         carried_out: impl Future<Output = Answer>,
     ) -> Answer {
-        if options.validate_only || options.request_id.is_empty() {
+        if options.validate_only {
+            return carried_out.await;
+        }
+        self.inner.ledger.accepts()?;
+        if options.request_id.is_empty() {
             return carried_out.await;
         }
         let known = self.inner.answers.lock().ask(&options.request_id, asked, clock::now());
@@ -110,7 +114,7 @@ impl Gcm {
         }
         audit::write(asked, &answer);
         match record {
-            Some(record) => self.inner.ledger.durable(record).await,
+            Some(record) => self.inner.ledger.durable(record).await?,
             // Nobody waits for the record that nothing has changed, but for the changes that are the
             // reason: a GCM that ends before those are on record leaves a system in which the answer was
             // never right.
@@ -118,7 +122,12 @@ impl Gcm {
                 let rests_on = self.inner.ledger.last_change();
                 let request = Some((asked.clone(), answer.clone()));
                 self.inner.ledger.enter(|_| (Entry::Noted, request));
-                self.inner.ledger.durable(rests_on).await;
+                let is_doubtful = matches!(answer, Err(Refusal::JournalUnavailable { .. }));
+                if let Err(unavailable) = self.inner.ledger.durable(rests_on).await
+                    && !is_doubtful
+                {
+                    return Err(nothing_changed(unavailable));
+                }
             }
         }
         answer
@@ -293,6 +302,14 @@ fn bereft<'p>(graph: &'p SystemGraph, plan: &'p Plan) -> impl Iterator<Item = (C
         });
         (required && runs && !replaced && !stopped).then(|| (client.component.clone(), client.port.clone()))
     })
+}
+
+/// The same of a request that has changed nothing.
+fn nothing_changed(refusal: Refusal) -> Refusal {
+    match refusal {
+        Refusal::JournalUnavailable { why, .. } => Refusal::JournalUnavailable { carried_out: false, why },
+        other => other,
+    }
 }
 
 fn given_up() -> Refusal {

@@ -30,6 +30,9 @@ impl Kept {
 /// No process has counted so far ahead of its GCM.
 const AHEAD: u64 = 1 << 32;
 
+/// Epochs of one term, where terms are given out elsewhere.
+const EPOCHS: u64 = 1 << 32;
+
 pub(super) struct Ids {
     file: Option<PathBuf>,
     kept: Mutex<Kept>,
@@ -43,6 +46,12 @@ impl Ids {
         let ids = Ids { file, kept: Mutex::new(kept) };
         ids.count(|kept| kept.term += 1);
         ids
+    }
+
+    /// Numbers of a term that no other GCM has: its epochs are its own, too.
+    pub(super) fn of_term(term: u64) -> Ids {
+        let next_epoch = term.saturating_mul(EPOCHS);
+        Ids { file: None, kept: Mutex::new(Kept { term, next_epoch }) }
     }
 
     pub(super) fn term(&self) -> u64 {
@@ -148,6 +157,15 @@ mod tests {
             let then = Ids::open(Some(state.path()));
             assert!(then.term() > term && then.next_epoch() > epoch, "after {damage:?}");
         }
+    }
+
+    #[test]
+    fn a_term_has_epochs_of_its_own_and_knows_those_of_earlier_ones() {
+        let (first, next) = (Ids::of_term(3), Ids::of_term(4));
+        let (early, late) = (first.next_epoch(), next.next_epoch());
+        assert!(early < late && first.next_epoch() < late);
+        assert!(next.may_be(early) && next.not_below(early) == early);
+        assert_eq!(next.next_epoch(), late + 1);
     }
 
     #[test]

@@ -282,7 +282,7 @@ impl Gcm {
             }
         });
         let record = self.done(&mut done, since, asked);
-        self.inner.ledger.durable(record).await;
+        self.inner.ledger.durable(record).await?;
         for id in &ids {
             self.inner.holds.lock().removed(id);
         }

@@ -11,17 +11,20 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
 use trocar_lcm_api::clock;
-use trocar_model::{Entry, Wanted};
+use trocar_model::{Entry, Refusal, Wanted};
 use trocar_rt::os::now_ns;
 
 use super::answer::Answer;
 use super::journal::{Asked, Record};
+use super::lead::Lead;
 use super::weight::weight;
 
 /// Most records that wait for a store, and most bytes of them, about; of more the oldest go, and are counted.
 const PENDING: (usize, usize) = (4096, 64 << 20);
 /// Time after which a record that is not durable is no more waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// The same where another GCM could lead: longer than a cluster needs to elect a leader of its own.
+const SHARED: Duration = Duration::from_secs(4);
 
 /// Rings when a record waits for the store; nothing more comes when it is dropped.
 pub(super) type Bell = Box<dyn Fn() + Send + Sync>;
@@ -52,6 +55,8 @@ impl Standing {
 
 pub(super) struct Ledger {
     term: u64,
+    /// Present where another GCM could lead: then only what is on record was decided.
+    lead: Option<Lead>,
     held: Mutex<Held>,
     /// Number of the last record that is durable.
     durable: watch::Sender<u64>,
@@ -105,11 +110,12 @@ pub(super) fn wall_ns() -> u64 {
 }
 
 impl Ledger {
-    /// A ledger that begins with this; with a bell there is a store.
-    pub(super) fn new(term: u64, wanted: Wanted, bell: Option<Bell>) -> Ledger {
+    /// A ledger that begins with this; with a bell there is a store, with a lead others may use that, too.
+    pub(super) fn new(term: u64, wanted: Wanted, bell: Option<Bell>, lead: Option<Lead>) -> Ledger {
         let standing = if bell.is_some() { Standing::Written } else { Standing::None };
         Ledger {
             term,
+            lead,
             revision: AtomicU64::new(wanted.revision),
             held: Mutex::new(Held { wanted, ..Held::default() }),
             durable: watch::Sender::new(0),
@@ -148,6 +154,8 @@ impl Ledger {
     /// the store is behind, they are to know more than it.
     pub(super) fn revision(&self) -> u64 {
         match *self.standing.borrow() {
+            // Where another GCM could lead, what is not on record was not decided.
+            _ if self.is_shared() => self.revision.load(Ordering::Relaxed),
             Standing::Written => self.revision.load(Ordering::Relaxed),
             Standing::None | Standing::Behind { .. } => self.wanted().revision,
         }
@@ -169,8 +177,60 @@ impl Ledger {
         self.standing.subscribe()
     }
 
-    /// Waits until a record is durable, or until everybody can see that records are not.
-    pub(super) async fn durable(&self, record: u64) {
+    /// Tells whether this GCM may decide, and can put on record what it decides.
+    ///
+    /// # Errors
+    /// Another GCM could lead, and this one does not, or cannot write.
+    pub(super) fn accepts(&self) -> Result<(), Refusal> {
+        let Some(lead) = &self.lead else { return Ok(()) };
+        lead.holds()?;
+        match &*self.standing.borrow() {
+            Standing::Behind { why } => {
+                Err(Refusal::JournalUnavailable { carried_out: false, why: why.clone() })
+            }
+            Standing::None | Standing::Written => Ok(()),
+        }
+    }
+
+    /// Waits until a record is durable; a GCM that has its store to itself, no longer than until everybody
+    /// can see that records are not.
+    ///
+    /// # Errors
+    /// It is not durable, and another GCM could lead, which then does not know it.
+    pub(super) async fn durable(&self, record: u64) -> Result<(), Refusal> {
+        let Some(lead) = &self.lead else {
+            self.durable_or_behind(record).await;
+            return Ok(());
+        };
+        let (mut durable, mut ended) = (self.durable.subscribe(), self.ended.subscribe());
+        // The senders live as long as this.
+        let seen = async {
+            tokio::select! {
+                biased;
+                _ = durable.wait_for(|last| *last >= record) => Ok(()),
+                why = lead.lost() => Err(why),
+                _ = ended.wait_for(|ended| *ended) => Err("the journal is not written any more".to_owned()),
+            }
+        };
+        let late = || match &*self.standing.borrow() {
+            Standing::Behind { why } => why.clone(),
+            _ => format!("it was not confirmed within {} s", SHARED.as_secs()),
+        };
+        let seen = tokio::time::timeout(SHARED, seen).await.unwrap_or_else(|_| Err(late()));
+        seen.map_err(|why| Refusal::JournalUnavailable { carried_out: true, why })
+    }
+
+    /// Tells whether another GCM may lead by now.
+    pub(super) fn is_doubted(&self) -> bool {
+        self.lead.as_ref().is_some_and(|lead| lead.holds().is_err())
+    }
+
+    /// Tells whether another GCM could lead.
+    pub(super) fn is_shared(&self) -> bool {
+        self.lead.is_some()
+    }
+
+    async fn durable_or_behind(&self, record: u64) {
         if *self.standing.borrow() != Standing::Written {
             return;
         }

@@ -19,6 +19,7 @@ use super::holds::Holds;
 use super::ids::Ids;
 use super::isolation::Isolation;
 use super::journal::Asked;
+use super::lead::Lead;
 use super::ledger::{Bell, Ledger};
 use super::lines::Lines;
 use super::past::Past;
@@ -52,7 +53,12 @@ pub(super) struct Inner {
 
 impl Gcm {
     /// A GCM that goes on from there and hears no process yet. With a bell, its records go to a store.
-    pub(super) fn new(ids: Ids, each_change: Duration, past: &Past, bell: Option<Bell>) -> Gcm {
+    pub(super) fn new(
+        ids: Ids,
+        (each_change, lead): (Duration, Option<Lead>),
+        past: &Past,
+        bell: Option<Bell>,
+    ) -> Gcm {
         let (wanted, answers) = (past.wanted.clone(), past.answers.clone());
         let (mut graph, claims) = (wanted.unseen(), Claims::default());
         graph.settle();
@@ -68,7 +74,7 @@ impl Gcm {
             isolation: watch::Sender::new(Isolation::default()),
             lines: Arc::default(),
             began_at: wanted.revision,
-            ledger: Ledger::new(ids.term(), wanted, bell),
+            ledger: Ledger::new(ids.term(), wanted, bell, lead),
             ids,
         };
         Gcm { inner: Arc::new(inner) }

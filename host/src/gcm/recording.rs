@@ -165,9 +165,15 @@ impl Gcm {
         self.inner.ledger.revision()
     }
 
+    /// Tells whether another GCM may lead this one's system by now.
+    pub(crate) fn is_doubted(&self) -> bool {
+        self.inner.ledger.is_doubted()
+    }
+
     /// Waits until everything that was decided is on record, or until it is known not to be.
     pub async fn flush(&self) {
-        self.inner.ledger.durable(self.inner.ledger.last()).await;
+        // Known not to be is known, too.
+        let _ = self.inner.ledger.durable(self.inner.ledger.last()).await;
     }
 
     /// Ends the way to the store, which then is another GCM's to use.

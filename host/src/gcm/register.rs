@@ -31,7 +31,8 @@ impl Gcm {
     /// the last one was to have, made anew.
     ///
     /// # Errors
-    /// The name is taken by another process that is heard; the epoch cannot be made durable.
+    /// The name is taken by another process that is heard; it cannot be put on record, where another GCM
+    /// could lead.
     pub async fn register(
         &self,
         who: Registration,
@@ -53,7 +54,7 @@ impl Gcm {
             // Before anything is made in it: the next GCM knows whom it has made that in. Whoever asks for
             // this may go meanwhile.
             let mut held = Claiming { gcm: self, process: &who.process, session, is_entered: false };
-            self.inner.ledger.durable(came).await;
+            self.inner.ledger.durable(came).await?;
             held.is_entered = true;
         }
         let mut taken = TakenIn::default();

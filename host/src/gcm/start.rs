@@ -6,11 +6,12 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use trocar_model::Entry;
+use trocar_model::{Entry, Refusal};
 
 use super::Gcm;
 use super::ids::Ids;
 use super::journal::{Store, StoreError, Unusable};
+use super::lead::Lead;
 use super::past::Past;
 use super::recording::{Recording, bell, keep_writing};
 
@@ -24,12 +25,15 @@ const BETWEEN: Duration = Duration::from_millis(300);
 pub enum StartError {
     Store(StoreError),
     Threads(String),
+    /// It leads no more, or cannot put its term on record.
+    Refused(Refusal),
 }
 
 impl fmt::Display for StartError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             StartError::Store(e) => e.fmt(f),
+            StartError::Refused(refusal) => refusal.fmt(f),
             StartError::Threads(why) => write!(f, "the journal gets no thread: {why}"),
         }
     }
@@ -51,11 +55,14 @@ pub struct GcmConfig {
     /// Time for each change that gives a restarted process its components back. A change that hangs costs the
     /// others no more.
     pub each_change: Duration,
+    /// The lead of this GCM where several stand for one system: its term and epochs are of that, and only
+    /// what is on record counts.
+    pub lead: Option<Lead>,
 }
 
 impl Default for GcmConfig {
     fn default() -> Self {
-        GcmConfig { state: None, each_change: Duration::from_secs(20) }
+        GcmConfig { state: None, each_change: Duration::from_secs(20), lead: None }
     }
 }
 
@@ -66,7 +73,7 @@ impl Gcm {
     /// The state folder cannot be used.
     pub async fn start(config: GcmConfig) -> Result<Gcm, StartError> {
         let ids = Ids::open(config.state.as_deref());
-        let gcm = Gcm::new(ids, config.each_change, &Past::default(), None);
+        let gcm = Gcm::new(ids, (config.each_change, None), &Past::default(), None);
         gcm.keep_phases();
         Ok(gcm)
     }
@@ -76,7 +83,7 @@ impl Gcm {
     ///
     /// # Errors
     /// The state folder cannot be used; the store is damaged, of a later release, or in use. One that cannot
-    /// be read now is tried again, and the GCM begins without it.
+    /// be read now is tried again, and the GCM begins without it, but for one among several.
     pub async fn resume(config: GcmConfig, store: Box<dyn Store>) -> Result<Gcm, StartError> {
         Gcm::resume_with(config, store, Recording::Thread).await
     }
@@ -90,7 +97,10 @@ impl Gcm {
         mut store: Box<dyn Store>,
         recording: Recording,
     ) -> Result<Gcm, StartError> {
-        let ids = Ids::open(config.state.as_deref());
+        let ids = match &config.lead {
+            Some(lead) => Ids::of_term(lead.term()),
+            None => Ids::open(config.state.as_deref()),
+        };
         let never_blocks = matches!(recording, Recording::Task(_));
         let load = move || {
             let mut loaded = store.load();
@@ -113,7 +123,7 @@ impl Gcm {
         };
         let past = match loaded {
             Ok(loaded) => Past::of(loaded),
-            Err(e) if e.unusable == Unusable::Now => {
+            Err(e) if e.unusable == Unusable::Now && config.lead.is_none() => {
                 log::error!("{e}; this GCM begins without what was decided before");
                 Past::default()
             }
@@ -121,13 +131,21 @@ impl Gcm {
         };
         // Counters that were lost go on from what is on record.
         let epochs = past.wanted.processes.values().map(|process| process.epoch);
+        if let Some(lead) = config.lead.as_ref().filter(|lead| past.wanted.term >= lead.term()) {
+            let (term, won) = (past.wanted.term, lead.term());
+            let why = format!(
+                "it has records of term {term}, and this GCM was given term {won}: the count of terms was changed"
+            );
+            lead.lose(&why);
+            return Err(StoreError { file: "the journal".into(), unusable: Unusable::Damaged, why }.into());
+        }
         ids.goes_on_from(past.wanted.term, epochs.max().unwrap_or_default());
         let (bell, rung) = bell(recording);
-        let gcm = Gcm::new(ids, config.each_change, &past, Some(bell));
+        let gcm = Gcm::new(ids, (config.each_change, config.lead), &past, Some(bell));
         keep_writing(&gcm.inner, store, rung, past).map_err(|e| StartError::Threads(e.to_string()))?;
         // On record before anything is decided by it.
         let begun = gcm.enter(Entry::Noted);
-        gcm.inner.ledger.durable(begun).await;
+        gcm.inner.ledger.durable(begun).await.map_err(StartError::Refused)?;
         gcm.keep_phases();
         Ok(gcm)
     }

@@ -28,6 +28,10 @@ const WITHIN: Duration = Duration::from_secs(5);
 /// Longest wait of the answer to a Stop for its record.
 const ON_RECORD: Duration = Duration::from_millis(100);
 
+/// Warning of a Stop that another GCM may not know.
+const NOT_YET: &str = "this Stop is not on record yet, so that a GCM that leads after this one may not know of it: stop \
+                       once more when one leads";
+
 /// The Stop of one request, or of a process that was asked itself.
 #[derive(Clone)]
 struct Halting {
@@ -88,7 +92,13 @@ impl Gcm {
         // It has acted; a disk that hangs does not keep the answer.
         let gcm = self.clone();
         let on_record = tokio::spawn(async move { gcm.inner.ledger.durable(record).await });
-        let _ = tokio::time::timeout(ON_RECORD, on_record).await;
+        let on_record = tokio::time::timeout(ON_RECORD, on_record).await;
+        if let Some(Ok(done)) = &mut answer
+            && self.inner.ledger.is_shared()
+            && !matches!(on_record, Ok(Ok(Ok(()))))
+        {
+            done.left.push(NOT_YET.into());
+        }
         answer.unwrap_or_else(|| Err(Refusal::Internal { text: "a Stop without an answer".into() }))
     }
 

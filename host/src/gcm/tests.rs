@@ -12,6 +12,7 @@ mod journal;
 mod keeping_stopped;
 mod kept;
 mod late;
+mod leading;
 mod phases;
 mod ports;
 mod restarted;

@@ -327,6 +327,7 @@ async fn start_gcm(state: &StateDir) -> Result<Gcm, HostError> {
     };
     started.map_err(|e| match e {
         StartError::Store(e) => HostError::Journal(e),
+        StartError::Refused(refusal) => HostError::Refused(refusal),
         StartError::Threads(because) => HostError::Threads { because },
     })
 }

@@ -198,7 +198,11 @@ impl Attached {
                         continue;
                     }
                     sequence += 1;
-                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat { sequence, revision: self.gcm.revision_on_record(), ..Default::default() });
+                    let beat = attach_response::Message::Heartbeat(v1::Heartbeat {
+                        sequence,
+                        revision: self.gcm.revision_on_record(),
+                        doubted: self.gcm.is_doubted(),
+                    });
                     // A full queue means it does not read: then its own lease ends.
                     let _ = out.try_send(Ok(message(beat)));
                 }
