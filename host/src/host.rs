@@ -4,6 +4,7 @@
 
 pub mod announce;
 mod builder;
+mod candidacy;
 mod client;
 mod config;
 mod ending;

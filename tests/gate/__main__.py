@@ -26,6 +26,7 @@ import sys
 import threading
 import time
 
+import etcd
 import grpcurl
 import suites
 from building import Workshop
@@ -125,6 +126,8 @@ class Run:
 
     def _programs(self):
         self.stage.no_grpcurl = grpcurl.set_up(self.workshop.work, self.workshop.logs / "grpcurl.log")
+        if any(suite.name == "etcd" for suite in self.suites):
+            self.stage.no_etcd = etcd.set_up(self.workshop.work, self.workshop.logs / "etcd.log")
         worked = self._build("programs", lambda: self.workshop.build_programs() and self.workshop.build_cpp())
         self.stage.no_cpp = os.environ.get("TROCAR_NO_CPP", "")
         return worked

@@ -35,6 +35,7 @@ class Stage:
     everything: bool = False  # --all
     torture_args: list = dataclasses.field(default_factory=list)
     no_grpcurl: str = ""
+    no_etcd: str = ""
     no_cpp: str = ""
 
     @property
@@ -84,7 +85,14 @@ def workspace(stage):
     """One process for each test executable, and one for the examples in the documentation."""
     env = {"LD_LIBRARY_PATH": stage.workshop.libraries()}
     made = [
-        Part("workspace", [one.path], exactly(one.path), one.title, cwd=one.cwd, env=env)
+        Part(
+            "workspace",
+            [one.path, *(NOT_THERE if one.title == "trocar" else [])],
+            exactly(one.path),
+            one.title,
+            cwd=one.cwd,
+            env=env,
+        )
         for one in stage.workshop.executables
     ]
     command, env = stage.workshop.doc_tests()
@@ -98,6 +106,24 @@ def workspace(stage):
             env=env,
         )
     )
+    return made
+
+
+# Unit tests of the crate `trocar` that need an etcd: a part of the suite of that name.
+THERE = ["etcd::", "--include-ignored"]
+NOT_THERE = ["--skip", "etcd::"]
+
+
+def etcd(stage):
+    """Managers over a real etcd, from outside; and the store alone, among the unit tests."""
+    made = outer("etcd", "", timed=True).parts(stage)
+    for one in stage.workshop.executables:
+        if one.title == "trocar":
+            again = lambda names, path=one.path: [path, "--include-ignored", "--exact", *names]
+            command = [one.path, *THERE, "--test-threads=2"]
+            made.append(Part("etcd", command, again, "store", cwd=one.cwd))
+    for part in made:
+        part.cannot_run = part.cannot_run or stage.no_etcd
     return made
 
 
@@ -269,6 +295,7 @@ SUITES = [
     outer("deployment", "several hosts, one manager"),
     outer("embedding", "hosts inside other programs"),
     outer("embedding_client", "clients inside other programs", grpcurl=False),
+    Suite("etcd", "several managers for one system, over a real etcd", "tests", etcd),
     outer("fig4", "the figure of the paper"),
     outer("guests", "processes without a manager"),
     outer("odd_plugins", "plugins that are not what they say"),

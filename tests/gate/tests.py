@@ -327,7 +327,7 @@ class TheTable(unittest.TestCase):
         self.assertFalse(any(suites.known(name) for name in ("links.trocar-rt", "workspace.", "nothing")))
 
     def test_modules_that_count_or_judge_durations_have_a_part_of_their_own(self):
-        stage = suites.Stage(planted.ROOT, types.SimpleNamespace(built=lambda name: name))
+        stage = suites.Stage(planted.ROOT, types.SimpleNamespace(built=lambda name: name, executables=[]))
         for path in sorted((planted.ROOT / "tests/it").glob("*/*.rs")):
             if path.stem in ("counted", "timed"):
                 parts = suites.named(path.parent.name).parts(stage)

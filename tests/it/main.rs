@@ -22,6 +22,7 @@ mod deployment;
 mod devices;
 mod embedding;
 mod embedding_client;
+mod etcd;
 mod faults;
 mod fig4;
 mod guests;

@@ -15,11 +15,16 @@ use trocar_proto::v1::guest_service_client::GuestServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 
-use trocar::control::{Tokened, dial};
+use trocar::control::{Tokened, addresses, dial, find_leader};
 use trocar::runtime_dir::Door;
 
 /// Time allowed for making a connection.
 const CONNECT: Duration = Duration::from_secs(2);
+
+/// Searches for a GCM that leads before there is said to be none, and the pause between them: another leads
+/// within 3 s.
+const LOOKS: usize = 8;
+const LOOK: Duration = Duration::from_millis(400);
 
 /// hyper's message for pings that were not answered; an outer test looks for the text that is then printed.
 const UNANSWERED: &str = "keep-alive timed out";
@@ -66,13 +71,39 @@ impl Client {
             }
             cause => cause,
         })?;
-        Ok(Self {
+        Ok(Client::over(channel))
+    }
+
+    /// Connects to the GCM that leads among several, by their addresses with commas between them.
+    ///
+    /// # Errors
+    /// A sentence: what each of them said.
+    pub(super) async fn of_leader(addrs: &str) -> Result<Self, String> {
+        let each = addresses(addrs).iter().map(|addr| uri(addr).replace("http://", "")).collect::<Vec<_>>();
+        // A GCM that has just ended has a successor within some seconds.
+        for pause in [LOOK; LOOKS] {
+            if let Ok(leader) = find_leader(&each, Some(Door::Calls), CONNECT).await {
+                return Ok(Client::over(leader.channel));
+            }
+            tokio::time::sleep(pause).await;
+        }
+        match find_leader(&each, Some(Door::Calls), CONNECT).await {
+            Ok(leader) => Ok(Client::over(leader.channel)),
+            Err(said) => {
+                let all: Vec<String> = said.iter().map(|(addr, why)| format!("{addr}: {why}")).collect();
+                Err(format!("none of them leads ({})", all.join("; ")))
+            }
+        }
+    }
+
+    fn over(channel: Tokened) -> Client {
+        Client {
             attach: AttachServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
             gcm: GcmServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
             guest: GuestServiceClient::new(channel.clone()),
             interact: InteractServiceClient::new(channel.clone()).max_decoding_message_size(LARGEST),
             plugin: PluginServiceClient::new(channel).max_decoding_message_size(LARGEST),
-        })
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 //! Invariant: it is in no data path: ending it delays no sample between components.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Args;
 use serde_json::json;
@@ -11,11 +12,16 @@ use super::failure::{Done, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
 use trocar::host::{Host, StateChoice, say_to_keeper, state_home};
+use trocar::journal::EtcdPlace;
 
 const EXAMPLES: &str = "\
 Example:
   trocar gcm
-  trocar host --name left --gcm 127.0.0.1:50551 --listen 127.0.0.1:0   # in another terminal";
+  trocar host --name left --gcm 127.0.0.1:50551 --listen 127.0.0.1:0   # in another terminal
+
+Several GCMs for one system, of which one leads, over an etcd cluster:
+  trocar gcm --listen 127.0.0.1:50551 --store etcd://127.0.0.1:2379,127.0.0.1:2479/lab7 --state /var/lib/a
+  trocar host --name left --gcm 127.0.0.1:50551,127.0.0.1:50552 --listen 127.0.0.1:0";
 
 /// Runs a GCM without components, for several hosts: `trocar host --gcm ADDR`.
 #[derive(Args, Debug)]
@@ -28,8 +34,14 @@ pub(super) struct GcmArgs {
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
     /// Forget what an earlier run left in the state directory; only counters go on.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "store")]
     fresh: bool,
+    /// Keep the journal in etcd, and lead its system only while no other GCM of that place does.
+    #[arg(long, value_name = "etcd://HOST:PORT,.../NAME")]
+    store: Option<EtcdPlace>,
+    /// With --store: time after which another GCM leads when this one is not heard, s.
+    #[arg(long, value_name = "S", default_value_t = 2, value_parser = clap::value_parser!(u64).range(2..=60), requires = "store")]
+    lease: u64,
     #[command(flatten)]
     port: hosting::PortArgs,
     #[command(flatten)]
@@ -50,7 +62,14 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
     logging::install(log::LevelFilter::Info);
     let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
     let stop = args.tie.listen()?;
-    let host = Host::start_gcm(&args.listen, &state, args.fresh, args.port.rules()).await?;
+    let (listen, rules) = (&args.listen, args.port.rules());
+    let host = match &args.store {
+        Some(place) => {
+            let stands = (place, Duration::from_secs(args.lease));
+            Host::start_candidate(listen, &state, stands, rules).await?
+        }
+        None => Host::start_gcm(listen, &state, args.fresh, rules).await?,
+    };
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
     if session.json() {
@@ -58,12 +77,16 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
             "listening": hosting::address(&host),
             "pid": std::process::id(),
             "state": host.state_dir().path(),
+            "store": args.store.as_ref().map(ToString::to_string),
             "viewer": hosting::viewer(&hosting::address(&host)),
         });
         say_to_keeper(&line.to_string());
         out::line(&line.to_string());
     } else {
         out::line(&format!("gcm listening on {}", hosting::address(&host)));
+        if let Some(place) = &args.store {
+            out::line(&format!("  one among several: the journal is at {place}"));
+        }
         out::line(&format!(
             "  attach hosts: trocar host --gcm {} --listen 127.0.0.1:0 --name NAME",
             hosting::address(&host)

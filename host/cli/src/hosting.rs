@@ -237,9 +237,9 @@ pub(super) fn address(host: &Host) -> String {
     host.addr().map_or_else(|| "nowhere".to_owned(), |addr| addr.to_string())
 }
 
-/// Returns the page on which a browser sees the system of the GCM at this address.
+/// Returns the page on which a browser sees the system of the GCM at this address, the first of several.
 pub(super) fn viewer(gcm: &str) -> String {
-    format!("http://{gcm}/")
+    format!("http://{}/", gcm.split(',').next().unwrap_or(gcm))
 }
 
 fn say_listening(config: &HostConfig, host: &Host, session: &Session) {

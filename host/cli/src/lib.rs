@@ -119,7 +119,7 @@ const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 /// Flags every subcommand takes.
 #[derive(Args, Debug)]
 struct Global {
-    /// Address of the GCM to ask [default: $TROCAR_GCM or 127.0.0.1:50551].
+    /// Address of the GCM to ask, or those of several, A,B,C [default: $TROCAR_GCM or 127.0.0.1:50551].
     #[arg(long, global = true, value_name = "ADDR", display_order = LAST)]
     gcm: Option<String>,
     /// Answers and errors as JSON on stdout.

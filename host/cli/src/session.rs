@@ -1,6 +1,7 @@
 //! The program's side of the gRPC services: one method per question, plain values in and out.
 //!
-//! Invariant: connects once, at the first question; every failure is told with the address that was asked.
+//! Invariant: connects once, at the first question, and anew only after a loss; every failure is told with
+//! the address that was asked.
 
 mod changes;
 pub(super) mod holding;
@@ -9,9 +10,10 @@ mod system;
 
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde::Serialize;
 use serde_json::Value;
-use tokio::sync::OnceCell;
+use tokio::task::JoinSet;
 use tonic::Streaming;
 use trocar_proto::v1;
 
@@ -22,6 +24,7 @@ use super::view::{
     ChangeView, DescribeView, ItemView, LogView, PluginView, ReplyView, RowView, SystemView, WaitView,
 };
 use super::{convert, out};
+use trocar::control::leader_named;
 use trocar::runtime_dir::Door;
 
 /// Port that a GCM listens on by default.
@@ -30,16 +33,19 @@ pub(super) const DEFAULT_GCM: &str = "127.0.0.1:50551";
 /// Time beyond the deadline of a call that a GCM may take to report that the deadline passed.
 const SILENCE: Duration = Duration::from_secs(3);
 
+/// Time that other GCMs have to answer a Stop, too, when one of them has stopped.
+const OTHERS: Duration = Duration::from_millis(300);
+
 /// Address of the GCM, form of the answers, and the connection once there is one.
 pub(super) struct Session {
     explicit: Option<String>,
     json: bool,
-    client: OnceCell<Client>,
+    client: Mutex<Option<Client>>,
 }
 
 impl Session {
     pub(super) fn new(gcm: Option<String>, json: bool) -> Self {
-        Self { explicit: gcm, json, client: OnceCell::new() }
+        Self { explicit: gcm, json, client: Mutex::default() }
     }
 
     pub(super) fn json(&self) -> bool {
@@ -67,19 +73,63 @@ impl Session {
 
     async fn client(&self) -> Result<Client, Failure> {
         let addr = self.address();
-        let connect =
-            || async { Client::connect(&addr, Door::Calls).await.map_err(|e| Failure::no_gcm(&addr, &e)) };
-        self.client.get_or_try_init(connect).await.cloned()
+        if let Some(client) = self.client.lock().clone() {
+            return Ok(client);
+        }
+        let connected = match addr.contains(',') {
+            true => Client::of_leader(&addr).await,
+            false => Client::connect(&addr, Door::Calls).await,
+        };
+        let client = connected.map_err(|e| Failure::no_gcm(&addr, &e))?;
+        Ok(self.client.lock().get_or_insert(client).clone())
     }
 
-    /// The connection for Stop, which waits for nothing else that is asked.
-    async fn stopping(&self) -> Result<Client, Failure> {
-        let addr = self.address();
-        Client::connect(&addr, Door::Stop).await.map_err(|e| Failure::no_gcm(&addr, &e))
+    /// Stops over a connection that waits for nothing else that is asked. Of several GCMs all are asked, side
+    /// by side: one that doubts its lead stops what it still reaches, and a Stop does no harm twice.
+    async fn stopped(
+        &self,
+        ask: impl Fn() -> tonic::Request<v1::StopRequest>,
+    ) -> Result<Result<v1::StopResponse, tonic::Status>, Failure> {
+        let all = self.address();
+        let mut asking = JoinSet::new();
+        for addr in all.split(',').map(|addr| addr.trim().to_owned()) {
+            let ask = ask();
+            asking.spawn(async move {
+                let client = Client::connect(&addr, Door::Stop).await;
+                let mut client = client.map_err(|e| Failure::no_gcm(&addr, &e))?;
+                Ok(client.gcm.stop(ask).await.map(tonic::Response::into_inner))
+            });
+        }
+        let (mut best, mut refused, mut until) = (None::<v1::StopResponse>, None, None);
+        loop {
+            let next = match until {
+                Some(until) => tokio::time::timeout_at(until, asking.join_next()).await.ok().flatten(),
+                None => asking.join_next().await,
+            };
+            let Some(next) = next else { break };
+            match next.map_err(|e| Failure::local("INTERNAL", e.to_string(), "please report this"))? {
+                Ok(Ok(answer)) => {
+                    until.get_or_insert_with(|| tokio::time::Instant::now() + OTHERS);
+                    best = best.filter(|best| best.revision >= answer.revision).or(Some(answer));
+                }
+                // A refusal says more than that nobody is there, and a leader's more than that of others.
+                Ok(Err(status)) if leader_named(&status).is_none() => refused = Some(Ok(Err(status))),
+                other => refused = refused.or(Some(other)),
+            }
+        }
+        match (best, refused) {
+            (Some(best), _) => Ok(Ok(best)),
+            (None, Some(refused)) => refused,
+            (None, None) => Err(Failure::no_gcm(&all, "there is no address")),
+        }
     }
 
     fn failed(&self, status: &tonic::Status) -> Failure {
         let told = client::explain(status);
+        if told.transport || told.reason == "NOT_LEADER" {
+            // Another may lead: it is looked for at the next question.
+            self.client.lock().take();
+        }
         if told.late {
             return Failure::late(&self.address());
         }

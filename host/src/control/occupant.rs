@@ -48,6 +48,9 @@ pub(super) async fn ask(addr: SocketAddr) -> Occupant {
         Ok(processes) => at(processes, &here).map_or(Occupant::Gcm, Occupant::Host),
         Err(status) => {
             let details = status.get_error_details();
+            if details.error_info().is_some_and(|info| info.reason == "NOT_LEADER") {
+                return Occupant::Gcm;
+            }
             let told = details.error_info().filter(|info| info.reason == "MANAGED_ELSEWHERE");
             let by = told.and_then(|info| info.metadata.get("gcm")).filter(|by| !by.is_empty());
             let Some(by) = by else { return Occupant::Stranger };

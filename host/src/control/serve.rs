@@ -13,7 +13,7 @@ use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinHandle;
-use tonic::service::Routes;
+use tonic::service::{Routes, RoutesBuilder};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 use trocar_model::{Name, Refusal};
@@ -29,10 +29,11 @@ use super::caller::{Access, PortRules, READERS, own_user};
 use super::doors::Doors;
 use super::incoming::Incoming;
 use super::occupant::{self, Occupant};
+use super::seat::{Seat, refusing};
 use super::server::{Commanded, Edge, FOLLOWED, Standing};
 use super::transport::{GRACE, transport};
 use super::web;
-use crate::gcm::{Gcm, Lines, Standing as Journal};
+use crate::gcm::{Gcm, Lead, Lines, Standing as Journal};
 use crate::lcm::{Lcm, News};
 use crate::runtime_dir::RuntimeDir;
 
@@ -89,7 +90,6 @@ impl Server {
     /// The address is malformed, taken, or not a loopback address.
     pub async fn start(config: ServeConfig) -> Result<Server, ServeError> {
         let listener = bind(&config.listen, config.local.as_ref().map(|(name, _)| name)).await?;
-        let addr = listener.local_addr().map_err(|e| unusable(&config.listen, &e))?;
         let (lines, logging) = lines(config.gcm.as_ref(), config.local.as_ref());
         let (open, closing) = watch::channel(());
         let edge = Edge {
@@ -102,19 +102,40 @@ impl Server {
             commanded: Commanded::default(),
             closing: closing.clone(),
         };
-        let access = Access {
-            rules: config.rules,
-            user: own_user(),
-            tokens: config.runtime.clone(),
-            refused: Mutex::default(),
-            readers: Arc::new(Semaphore::new(READERS)),
-        };
-        let routes =
-            routes(edge, config.gcm, access, closing).await.map_err(|because| ServeError::Unusable {
-                because,
-                help: "rebuild trocar: its service descriptions are damaged".into(),
-            })?;
-        let doors = config.runtime.map(|dir| Doors::open(&dir, addr, &routes));
+        let access = access(config.rules, config.runtime.as_ref());
+        let routes = routes(edge, config.gcm, access, closing, None).await.map_err(damaged)?;
+        Server::serve(&config.listen, listener, routes, config.runtime, (open, logging))
+    }
+
+    /// Binds, and serves what the seat of a GCM among several says, in the background.
+    ///
+    /// # Errors
+    /// As [`Server::start`].
+    pub async fn start_seat(
+        listen: &str,
+        rules: PortRules,
+        runtime: Option<RuntimeDir>,
+    ) -> Result<(Server, Seat), ServeError> {
+        let listener = bind(listen, None).await?;
+        let (reporter, health) = tonic_health::server::health_reporter();
+        let mut services = described(Routes::builder()).map_err(damaged)?;
+        services.add_service(health);
+        let idle = web::with_page(refusing(services.routes()), None, access(rules, runtime.as_ref()));
+        let seat = Seat::new(idle, reporter);
+        let open = watch::channel(()).0;
+        let server = Server::serve(listen, listener, seat.routes(), runtime, (open, None))?;
+        Ok((server, seat))
+    }
+
+    fn serve(
+        listen: &str,
+        listener: TcpListener,
+        routes: Routes,
+        runtime: Option<RuntimeDir>,
+        (open, logging): (watch::Sender<()>, Option<JoinHandle<()>>),
+    ) -> Result<Server, ServeError> {
+        let addr = listener.local_addr().map_err(|e| unusable(listen, &e))?;
+        let doors = runtime.map(|dir| Doors::open(&dir, addr, &routes));
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(async move {
             let incoming = Incoming::tcp(listener, own_user());
@@ -275,21 +296,87 @@ async fn tell_journal(
     }
 }
 
+impl Seat {
+    /// Answers from now on by a GCM that leads, as long as that holds.
+    ///
+    /// # Errors
+    /// The descriptions of the services are damaged.
+    pub async fn reigns(
+        &self,
+        gcm: Gcm,
+        lead: Lead,
+        rules: PortRules,
+        runtime: Option<&RuntimeDir>,
+    ) -> Result<(), ServeError> {
+        let (open, closing) = watch::channel(());
+        let edge = Edge {
+            gcm: Some(gcm.clone()),
+            local: None,
+            managed_by: None,
+            lines: gcm.lines().clone(),
+            followed: Arc::new(Semaphore::new(FOLLOWED)),
+            standing: Arc::new(Standing::default()),
+            commanded: Commanded::default(),
+            closing: closing.clone(),
+        };
+        let health = Some(self.health().clone());
+        let routes = routes(edge, Some(gcm), access(rules, runtime), closing, health).await;
+        self.leads(lead, routes.map_err(damaged)?, open);
+        Ok(())
+    }
+}
+
+fn access(rules: PortRules, runtime: Option<&RuntimeDir>) -> Access {
+    Access {
+        rules,
+        user: own_user(),
+        tokens: runtime.cloned(),
+        refused: Mutex::default(),
+        readers: Arc::new(Semaphore::new(READERS)),
+    }
+}
+
+fn damaged(because: String) -> ServeError {
+    ServeError::Unusable { because, help: "rebuild trocar: its service descriptions are damaged".into() }
+}
+
+/// Joins the services of a port. `health`: where the state of the journal is told, if not here.
 async fn routes(
     edge: Edge,
     gcm: Option<Gcm>,
     access: Access,
     closing: watch::Receiver<()>,
+    health: Option<HealthReporter>,
 ) -> Result<Routes, String> {
-    let (reporter, health) = tonic_health::server::health_reporter();
+    let (reporter, own_health) = tonic_health::server::health_reporter();
     reporter.set_serving::<GcmServiceServer<Edge>>().await;
     reporter.set_serving::<InteractServiceServer<Edge>>().await;
     reporter.set_serving::<PluginServiceServer<Edge>>().await;
     reporter.set_serving::<GuestServiceServer<Edge>>().await;
     if let Some(gcm) = &gcm {
         reporter.set_serving::<AttachServiceServer<AttachEdge>>().await;
-        tokio::spawn(tell_journal(reporter, gcm.journal(), closing.clone()));
+        tokio::spawn(tell_journal(health.unwrap_or(reporter), gcm.journal(), closing.clone()));
     }
+    let pictures = Some(edge.clone());
+    let mut services = described(Routes::builder())?;
+    services
+        .add_service(GcmServiceServer::new(edge.clone()))
+        .add_service(InteractServiceServer::new(edge.clone()))
+        .add_service(PluginServiceServer::new(edge.clone()))
+        .add_service(GuestServiceServer::new(edge))
+        .add_service(own_health);
+    if let Some(gcm) = gcm {
+        services.add_service(
+            AttachServiceServer::new(AttachEdge::new(gcm, closing))
+                .max_decoding_message_size(MAX_MESSAGE)
+                .max_encoding_message_size(MAX_MESSAGE),
+        );
+    }
+    Ok(web::with_page(services.routes(), pictures, access))
+}
+
+/// Adds reflection, of both versions.
+fn described(mut services: RoutesBuilder) -> Result<RoutesBuilder, String> {
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
@@ -300,22 +387,8 @@ async fn routes(
             .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET)
             .include_reflection_service(false)
     };
-    let pictures = Some(edge.clone());
-    let mut services = Routes::builder();
     services
-        .add_service(GcmServiceServer::new(edge.clone()))
-        .add_service(InteractServiceServer::new(edge.clone()))
-        .add_service(PluginServiceServer::new(edge.clone()))
-        .add_service(GuestServiceServer::new(edge))
-        .add_service(health)
         .add_service(reflection().build_v1().map_err(|e| e.to_string())?)
         .add_service(reflection().build_v1alpha().map_err(|e| e.to_string())?);
-    if let Some(gcm) = gcm {
-        services.add_service(
-            AttachServiceServer::new(AttachEdge::new(gcm, closing))
-                .max_decoding_message_size(MAX_MESSAGE)
-                .max_encoding_message_size(MAX_MESSAGE),
-        );
-    }
-    Ok(web::with_page(services.routes(), pictures, access))
+    Ok(services)
 }

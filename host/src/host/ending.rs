@@ -14,6 +14,7 @@ use tokio::task::JoinHandle;
 use trocar_loader::WatchHandle;
 use trocar_rt::house;
 
+use super::candidacy::Candidacy;
 use super::{HostError, StateDir};
 use crate::control::Server;
 use crate::gcm::Gcm;
@@ -31,6 +32,8 @@ pub(super) struct Running {
     pub(super) gcm: Option<Gcm>,
     /// True: everything that the host was to be was there.
     pub(super) is_up: bool,
+    /// Its campaigns for the lead of a system.
+    pub(super) candidacy: Option<Candidacy>,
     pub(super) uplink: Option<JoinHandle<()>>,
     pub(super) server: Option<Server>,
     pub(super) watch: Option<WatchHandle>,
@@ -65,6 +68,7 @@ impl Ending {
             lcm: None,
             gcm: None,
             is_up: false,
+            candidacy: None,
             uplink: None,
             server: None,
             watch: None,
@@ -118,15 +122,31 @@ impl Ending {
 
 async fn end(running: &Mutex<Running>, how: How) {
     let_go_of_descriptors();
-    let (lcm, gcm, is_up, uplink, server, watch, announced, state) = {
+    let (lcm, gcm, is_up, candidacy, uplink, server, watch, announced, state) = {
         let mut r = running.lock();
         let r = &mut *r;
         let state = r.state.clone();
-        let (lcm, gcm) = (r.lcm.take(), r.gcm.take());
-        (lcm, gcm, r.is_up, r.uplink.take(), r.server.take(), r.watch.take(), r.announced.take(), state)
+        let (lcm, gcm, candidacy) = (r.lcm.take(), r.gcm.take(), r.candidacy.take());
+        (
+            lcm,
+            gcm,
+            r.is_up,
+            candidacy,
+            r.uplink.take(),
+            r.server.take(),
+            r.watch.take(),
+            r.announced.take(),
+            state,
+        )
     };
     if let Some(task) = &announced {
         task.abort();
+    }
+    if let Some(candidacy) = candidacy {
+        match how {
+            How::Orderly => candidacy.end().await,
+            How::Abrupt => candidacy.cut(),
+        }
     }
     if let Some(lcm) = &lcm {
         lcm.shutdown(SHUTDOWN).await;

@@ -17,12 +17,13 @@ use trocar_loader::{CatalogChange, PluginEntry, PluginError};
 use trocar_model::{Request, Target};
 
 use super::announce::Announcement;
+use super::candidacy::Candidacy;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration, StartError};
-use crate::journal::RedbStore;
+use crate::journal::{EtcdPlace, RedbStore};
 use crate::lcm::{Decision, Lcm, LcmConfig, LocalLcm, LogLine, Order, Stop, keep_descriptors};
 use crate::runtime_dir::RuntimeDir;
 
@@ -73,6 +74,23 @@ impl Host {
         needs_runtime()?;
         let mut host = Self::in_directory(state, fresh)?;
         let done = host.bring_up_gcm(listen, rules).await;
+        host.if_up(done).await
+    }
+
+    /// Starts a GCM without components among several for one system: `trocar gcm --store`. It leads when
+    /// nobody else does, and for `ttl` after it was heard last.
+    ///
+    /// # Errors
+    /// State directory or port cannot be used, or what lies at that place is not a journal that can be read.
+    pub async fn start_candidate(
+        listen: &str,
+        state: &StateChoice,
+        (place, ttl): (&EtcdPlace, Duration),
+        rules: PortRules,
+    ) -> Result<Self, HostError> {
+        needs_runtime()?;
+        let mut host = Self::in_directory(state, false)?;
+        let done = host.bring_up_candidate(listen, (place, ttl), rules).await;
         host.if_up(done).await
     }
 
@@ -196,6 +214,22 @@ impl Host {
             runtime: Some(RuntimeDir::of_user()),
         })
         .await
+    }
+
+    async fn bring_up_candidate(
+        &mut self,
+        listen: &str,
+        (place, ttl): (&EtcdPlace, Duration),
+        rules: PortRules,
+    ) -> Result<(), HostError> {
+        let runtime = RuntimeDir::of_user();
+        let (server, seat) = Server::start_seat(listen, rules, Some(runtime.clone())).await?;
+        let addr = server.addr();
+        self.addr = Some(addr);
+        self.ending.running().server = Some(server);
+        let begun = Candidacy::begin(seat, (place, addr.to_string(), ttl), (rules, runtime)).await?;
+        self.ending.running().candidacy = Some(begun);
+        Ok(())
     }
 
     async fn listen(&mut self, config: ServeConfig) -> Result<(), HostError> {

@@ -52,27 +52,39 @@ impl Session {
         paths: &[String],
         m: &MutationArgs,
     ) -> Result<Outcome, Failure> {
-        let client = if verb == Verb::Stop { self.stopping().await? } else { self.client().await? };
-        let mut gcm = client.gcm;
         macro_rules! ask {
-            ($request:ident, $method:ident $(, $failed:ident)?) => {{
+            ($request:ident, $method:ident) => {{
                 let ask = v1::$request {
                     paths: paths.to_vec(),
                     validate_only: m.dry_run,
                     expected_revision: m.expected_revision,
                     ..v1::$request::default()
                 };
-                let a = gcm.$method(timed(ask, m)).await.map_err(|s| self.failed(&s))?.into_inner();
-                let failed: Vec<v1::SkippedComponent> = Vec::new() $(.into_iter().chain(a.$failed).collect())?;
-                with_failures(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings), failed)
+                let a = self.client().await?.gcm.$method(timed(ask, m)).await;
+                let a = a.map_err(|s| self.failed(&s))?.into_inner();
+                outcome(a.revision, a.plan, a.components, a.skipped, a.warnings)
             }};
         }
         Ok(match verb {
             Verb::Start => ask!(StartRequest, start),
-            Verb::Stop => ask!(StopRequest, stop, failed),
+            Verb::Stop => self.stop(paths, m).await?,
             Verb::Resume => ask!(ResumeRequest, resume),
             Verb::Reset => ask!(ResetRequest, reset),
         })
+    }
+
+    async fn stop(&self, paths: &[String], m: &MutationArgs) -> Result<Outcome, Failure> {
+        let ask = || {
+            let ask = v1::StopRequest {
+                paths: paths.to_vec(),
+                validate_only: m.dry_run,
+                expected_revision: m.expected_revision,
+                ..v1::StopRequest::default()
+            };
+            timed(ask, m)
+        };
+        let a = self.stopped(ask).await?.map_err(|s| self.failed(&s))?;
+        Ok(with_failures(outcome(a.revision, a.plan, a.components, a.skipped, a.warnings), a.failed))
     }
 
     /// Removes all of them, or none.

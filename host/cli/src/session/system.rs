@@ -91,9 +91,12 @@ impl Session {
 
     /// Stops what matches one of these, in order; where nothing does, nothing has to be stopped.
     pub(crate) async fn stop_all_of(&self, paths: Vec<String>, within: Duration) -> Result<(), Failure> {
-        let mut ask = tonic::Request::new(v1::StopRequest { paths, ..v1::StopRequest::default() });
-        ask.set_timeout(within);
-        match self.stopping().await?.gcm.stop(ask).await {
+        let ask = || {
+            let mut ask = tonic::Request::new(v1::StopRequest { paths: paths.clone(), ..Default::default() });
+            ask.set_timeout(within);
+            ask
+        };
+        match self.stopped(ask).await? {
             Ok(_) => Ok(()),
             Err(status) if status.code() == tonic::Code::NotFound => Ok(()),
             Err(status) => Err(self.failed(&status)),

@@ -8,6 +8,7 @@ mod dynamic;
 use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde_json::{Map, Value, json};
 use tokio::runtime::Handle;
 use tokio::sync::{Semaphore, watch};
@@ -19,9 +20,10 @@ use trocar_model::{ComponentId, Refusal};
 use trocar_proto::v1::gcm_service_server::GcmServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
-use self::dynamic::Rpc;
+use self::dynamic::{Dynamic, Rpc};
 use super::attach::MAX_MESSAGE;
 use super::caller::{Tokened, with_token};
+use super::leader::{addresses, find_leader, leader_named};
 use super::server::{Caller, Commanded, Edge, FOLLOWED, Standing};
 use super::status::{code_name, status};
 use crate::gcm::Gcm;
@@ -48,6 +50,39 @@ pub struct GcmServices {
 enum Way {
     Here(Edge),
     There { addr: String, channel: Tokened },
+    Among(Arc<Among>),
+}
+
+/// Several GCMs, of which one leads.
+struct Among {
+    addrs: Vec<String>,
+    /// The one that led when it was asked last.
+    leader: Mutex<Option<(String, Tokened)>>,
+}
+
+impl Among {
+    async fn leader(&self) -> Result<(String, Tokened), Status> {
+        if let Some(known) = self.leader.lock().clone() {
+            return Ok(known);
+        }
+        let found = find_leader(&self.addrs, None, CONNECT).await.map_err(|said| {
+            let all: Vec<String> = said.iter().map(|(addr, why)| format!("{addr}: {why}")).collect();
+            let why = format!("no GCM leads ({})", all.join("; "));
+            status(&Refusal::NotLeader { leader: String::new(), why })
+        })?;
+        let leader = (found.addr, found.channel);
+        *self.leader.lock() = Some(leader.clone());
+        Ok(leader)
+    }
+
+    /// Looks for the leader anew after it did not answer as one. True: it has done nothing.
+    fn was_refused(&self, refused: &Status) -> bool {
+        let is_other = leader_named(refused).is_some();
+        if is_other || refused.get_error_details().error_info().is_none() {
+            *self.leader.lock() = None;
+        }
+        is_other
+    }
 }
 
 impl GcmServices {
@@ -70,12 +105,17 @@ impl GcmServices {
         GcmServices { runtime: Handle::current(), way: Way::Here(edge), _open: open }
     }
 
-    /// Asks the GCM at `addr`: connects at the first request, and again after a loss. Call it inside a tokio
-    /// runtime.
+    /// Asks the GCM at `addr`, or the one that leads where it names several with commas between them. It
+    /// connects at the first request, and again after a loss. Call it inside a tokio runtime.
     ///
     /// # Errors
     /// The address is malformed.
     pub fn at(addr: &str) -> Result<GcmServices, String> {
+        let addrs = addresses(addr);
+        if addrs.len() > 1 {
+            let way = Way::Among(Arc::new(Among { addrs, leader: Mutex::default() }));
+            return Ok(GcmServices { runtime: Handle::current(), way, _open: watch::channel(()).0 });
+        }
         let bare = addr.strip_prefix("http://").unwrap_or(addr);
         let endpoint = Endpoint::from_shared(format!("http://{bare}")).map_err(|e| e.to_string())?;
         let channel = endpoint.connect_timeout(CONNECT).tcp_nodelay(true).connect_lazy();
@@ -100,10 +140,12 @@ impl Services for GcmServices {
 async fn answer(way: Way, from: &ComponentId, text: &str) -> Result<Value, Status> {
     let (verb, fields) = taken_apart(text).map_err(|refusal| status(&refusal))?;
     let rpc = Rpc::named(&verb).map_err(|refusal| status(&refusal))?;
-    let mut request = Request::new(rpc.message(fields).map_err(|refusal| status(&refusal))?);
-    request.set_timeout(if verb == "WaitFor" { LONGEST } else { WITHIN });
+    let message = || rpc.message(fields.clone()).map_err(|refusal| status(&refusal));
+    let within = if verb == "WaitFor" { LONGEST } else { WITHIN };
     let answered = match way {
         Way::Here(edge) => {
+            let mut request = Request::new(message()?);
+            request.set_timeout(within);
             request.extensions_mut().insert(Caller(from.to_string()));
             if rpc.of_plugins() {
                 rpc.ask(Grpc::new(PluginServiceServer::new(edge)), request).await
@@ -111,15 +153,36 @@ async fn answer(way: Way, from: &ComponentId, text: &str) -> Result<Value, Statu
                 rpc.ask(Grpc::new(GcmServiceServer::new(edge)), request).await
             }
         }
-        Way::There { addr, channel } => {
-            if let Ok(path) = from.to_string().parse() {
-                request.metadata_mut().insert(FOR_COMPONENT, path);
+        Way::There { addr, channel } => asked_there(&rpc, message()?, from, within, (addr, channel)).await,
+        Way::Among(among) => {
+            let first = asked_there(&rpc, message()?, from, within, among.leader().await?).await;
+            match first {
+                // Once more: a GCM that does not lead has done nothing.
+                Err(refused) if among.was_refused(&refused) => {
+                    let second = asked_there(&rpc, message()?, from, within, among.leader().await?).await;
+                    second.inspect_err(|refused| _ = among.was_refused(refused))
+                }
+                answered => answered,
             }
-            let grpc = Grpc::new(channel).max_decoding_message_size(MAX_MESSAGE);
-            rpc.ask(grpc, request).await.map_err(|e| unreached(&addr, e))
         }
     };
     answered.and_then(|message| message.to_json().map_err(|refusal| status(&refusal)))
+}
+
+async fn asked_there(
+    rpc: &Rpc,
+    message: Dynamic,
+    from: &ComponentId,
+    within: Duration,
+    (addr, channel): (String, Tokened),
+) -> Result<Dynamic, Status> {
+    let mut request = Request::new(message);
+    request.set_timeout(within);
+    if let Ok(path) = from.to_string().parse() {
+        request.metadata_mut().insert(FOR_COMPONENT, path);
+    }
+    let grpc = Grpc::new(channel).max_decoding_message_size(MAX_MESSAGE);
+    rpc.ask(grpc, request).await.map_err(|e| unreached(&addr, e))
 }
 
 /// The verb and the fields beside it.

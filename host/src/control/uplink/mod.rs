@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use parking_lot::Mutex;
-use tokio::sync::{RwLock, oneshot};
+use tokio::sync::{RwLock, oneshot, watch};
 use tokio::task::JoinHandle;
 use trocar_lcm_api::clock;
 use trocar_model::Refusal;
@@ -81,15 +81,15 @@ impl Uplink {
     /// Attaches, and stays attached in the background.
     ///
     /// # Errors
-    /// Nobody answers at `addr` (`HOST:PORT`), or the GCM refuses this process. A later loss only means
-    /// dialing again.
+    /// Nobody answers at `addr` (`HOST:PORT`, or several with commas between), or the GCM refuses this
+    /// process. A later loss only means dialing again.
     pub async fn start(
         addr: String,
         registration: Registration,
         lcm: Arc<dyn Lcm>,
         begin: Begin,
     ) -> Result<Uplink, UplinkError> {
-        let way = Grpc { addr: addr.clone(), within: ATTEMPT };
+        let way = Grpc::new(&addr, ATTEMPT);
         Uplink::over(way, addr, registration, lcm, begin).await
     }
 
@@ -155,7 +155,11 @@ struct Tie<W> {
 impl<W: Way> Tie<W> {
     async fn stay(mut self, mut session: Session, tell: oneshot::Sender<Refusal>) {
         loop {
-            let why = session.serve().await;
+            let doubted = session.doubted.subscribe();
+            let why = tokio::select! {
+                why = session.serve() => why,
+                () = self.another_leads(doubted) => "another GCM leads".to_owned(),
+            };
             self.registration.revision = session.revision;
             // Its orders are taken back.
             drop(session);
@@ -178,6 +182,20 @@ impl<W: Way> Tie<W> {
             };
             self.registration.epoch = session.epoch;
             log::info!("attached to the GCM at {} again", self.addr);
+        }
+    }
+
+    /// Waits until the GCM doubts its lead, and another one has it.
+    async fn another_leads(&self, mut doubted: watch::Receiver<bool>) {
+        loop {
+            if doubted.wait_for(|doubted| *doubted).await.is_err() {
+                return std::future::pending().await;
+            }
+            tokio::time::sleep(PAUSE.1).await;
+            if *doubted.borrow() && matches!(tokio::time::timeout(ATTEMPT, self.way.dial()).await, Ok(Ok(_)))
+            {
+                return;
+            }
         }
     }
 

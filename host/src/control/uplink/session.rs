@@ -38,6 +38,8 @@ pub(super) struct Session {
     lateness: Arc<Mutex<Lateness>>,
     /// When the GCM was heard last; what it ordered is taken back when this is dropped.
     heard: watch::Sender<Instant>,
+    /// True: the GCM is in doubt whether it leads.
+    pub(super) doubted: watch::Sender<bool>,
     /// The GCM's number for this incarnation of the process.
     pub(super) epoch: u64,
     /// Last revision that was told.
@@ -96,7 +98,8 @@ impl Session {
         let lease = Lease::new(lease, BEAT * (LEASE + 1));
         let orders = Orders::new(lcm, told, quiet, answer, lease);
         let revision = who.revision.max(revision);
-        Ok(Session { inbound, out, orders, early, tasks, lateness, heard, epoch, revision })
+        let doubted = watch::Sender::new(false);
+        Ok(Session { inbound, out, orders, early, tasks, lateness, heard, doubted, epoch, revision })
     }
 
     /// Carries out the GCM's orders until the GCM is lost; returns the reason.
@@ -137,6 +140,7 @@ impl Session {
                         Some(attach_response::Message::Refused(info)) => return info.text,
                         Some(attach_response::Message::Heartbeat(beat)) => {
                             self.revision = self.revision.max(beat.revision);
+                            self.doubted.send_if_modified(|doubted| std::mem::replace(doubted, beat.doubted) != beat.doubted);
                         }
                         Some(attach_response::Message::Registered(_)) | None => {}
                     }

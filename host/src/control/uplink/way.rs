@@ -3,10 +3,10 @@
 //! Invariant: a line ends when either side lets go of it, and carries the messages of each side in their
 //! order.
 
-use std::error::Error;
 use std::pin::Pin;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
@@ -17,7 +17,7 @@ use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
 use crate::control::attach::MAX_MESSAGE;
 use crate::control::caller::Tokened;
-use crate::control::dial::dial;
+use crate::control::leader::{Leader, addresses, find_leader};
 
 /// Messages of a GCM, in the order in which it sent them.
 pub type Inbound = Pin<Box<dyn Stream<Item = Result<v1::AttachResponse, Status>> + Send>>;
@@ -56,10 +56,29 @@ pub trait Line: Send {
 
 /// The way over gRPC.
 pub(super) struct Grpc {
-    /// `HOST:PORT`, with or without `http://`.
-    pub(super) addr: String,
-    /// Time for the GCM to answer.
-    pub(super) within: Duration,
+    /// Each `HOST:PORT`; of several GCMs, the one that leads is looked for.
+    addrs: Vec<String>,
+    /// Time for each of them to answer.
+    each: Duration,
+    found: Mutex<Found>,
+}
+
+#[derive(Default)]
+struct Found {
+    /// Address to ask first.
+    at: usize,
+    /// Greatest term of a GCM that was heard.
+    term: u64,
+}
+
+impl Grpc {
+    /// The way to the GCM at that address, or to the one that leads among several, with commas between them.
+    /// `within`: time for all of them to answer.
+    pub(super) fn new(addr: &str, within: Duration) -> Grpc {
+        let addrs = addresses(addr);
+        let each = within / u32::try_from(addrs.len().clamp(1, 3)).unwrap_or(1);
+        Grpc { addrs, each, found: Mutex::default() }
+    }
 }
 
 impl Way for Grpc {
@@ -67,15 +86,38 @@ impl Way for Grpc {
 
     /// A GCM that hung must not find the Hello of every abandoned attempt when it goes on: it is asked first.
     async fn dial(&self) -> Result<Self::Line, Refused> {
-        let uri = format!("http://{}", self.addr.trim_start_matches("http://"));
-        let channel = dial(&uri, None, self.within).await.map_err(|e| Refused::Unheard(because(&e)))?;
-        let mut client = AttachServiceClient::new(channel)
+        let first = {
+            let mut found = self.found.lock();
+            // The next attempt begins elsewhere, unless this one ends well.
+            let at = found.at % self.addrs.len().max(1);
+            found.at = at + 1;
+            at
+        };
+        let order: Vec<String> =
+            self.addrs.iter().cycle().skip(first).take(self.addrs.len()).cloned().collect();
+        let leader = find_leader(&order, None, self.each).await.map_err(|said| unheard(&said))?;
+        let mut found = self.found.lock();
+        if self.addrs.len() > 1 && leader.term < found.term {
+            let Leader { addr, term, .. } = leader;
+            let why = format!("{addr} leads in term {term}, and this process has heard term {}", found.term);
+            return Err(Refused::Unheard(why));
+        }
+        found.term = leader.term;
+        found.at = self.addrs.iter().position(|addr| *addr == leader.addr).unwrap_or(first);
+        Ok(AttachServiceClient::new(leader.channel)
             .max_decoding_message_size(MAX_MESSAGE)
-            .max_encoding_message_size(MAX_MESSAGE);
-        let nothing = v1::TellRequest::default();
-        client.tell(nothing).await.map_err(|e| Refused::Unheard(e.message().to_owned()))?;
-        Ok(client)
+            .max_encoding_message_size(MAX_MESSAGE))
     }
+}
+
+fn unheard(said: &[(String, String)]) -> Refused {
+    Refused::Unheard(match said {
+        [(_, why)] => why.clone(),
+        all => {
+            let all: Vec<String> = all.iter().map(|(addr, why)| format!("{addr}: {why}")).collect();
+            all.join("; ")
+        }
+    })
 }
 
 impl Line for AttachServiceClient<Tokened> {
@@ -84,13 +126,4 @@ impl Line for AttachServiceClient<Tokened> {
         let inbound = stream.map_err(|e| Refused::Unheard(e.message().to_owned()))?;
         Ok(Box::pin(inbound.into_inner()))
     }
-}
-
-/// The innermost cause: the outer ones say "transport error".
-fn because(e: &(dyn Error + 'static)) -> String {
-    let mut inner = e;
-    while let Some(source) = inner.source() {
-        inner = source;
-    }
-    inner.to_string()
 }
