@@ -53,6 +53,8 @@ class Graph:
         finally:
             timer.cancel()
         self.connected = True
+        # A GCM that hangs does not end its stream.
+        self._wire.moved = lambda: self._call.cancel()
         threading.Thread(target=self._run, name="trocar-graph", daemon=True).start()
 
     def _run(self) -> None:
@@ -74,6 +76,8 @@ class Graph:
                 self._news("gone", error)
             self._closing.wait(wait)
             wait = min(wait * 2, 0.5)
+            # Another GCM may lead by now.
+            self._wire.look(0.0)
             try:
                 self._call = self._wire.stream("GcmService/Watch", _Watch(after=self._cursor))
             except TrocarError:

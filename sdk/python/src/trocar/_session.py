@@ -43,7 +43,8 @@ def connect(
 ) -> Session:
     """Connects to a GCM, or to a host with one of its own.
 
-    ``address`` is ``host:port``; left out, it is ``TROCAR_GCM`` of the environment or 127.0.0.1:50551. ``name`` is that of the process
+    ``address`` is ``host:port``, or those of several GCMs with commas between them, of which the one that leads is looked for, now
+    and whenever another does; left out, it is ``TROCAR_GCM`` of the environment or 127.0.0.1:50551. ``name`` is that of the process
     under which the graph shows this session (the first free of ire, ire2, …); ``place=False`` stays unseen. ``credentials`` are
     grpc's channel credentials, for a GCM behind TLS. ``deadline`` is how long calls wait unless they say otherwise, s; ``timeout``
     how long connecting may take, s. ``say`` hears of the GCM lost and found (stderr otherwise). ``options`` go to grpc's channel.
@@ -54,6 +55,7 @@ def connect(
         raise invalid(f"deadline is {deadline!r}; give seconds, above 0 and at most 60", field="deadline")
     session = Session(Wire(where, credentials, options), name, deadline, say)
     try:
+        session._wire.look(timeout)
         session._graph.open(timeout)
         if place:
             session._place.join(timeout)
@@ -87,7 +89,7 @@ def _where(address: str | None) -> str:
     where = address or os.environ.get("TROCAR_GCM") or DEFAULT_ADDRESS
     if not isinstance(where, str):
         raise invalid(f'address is {where!r}; write "HOST:PORT"', field="address")
-    return where[len("http://") :] if where.startswith("http://") else where
+    return ",".join(one.strip().removeprefix("http://") for one in where.split(","))
 
 
 class Session(Changing, Looking):

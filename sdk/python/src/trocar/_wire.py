@@ -11,6 +11,8 @@ import asyncio
 import contextlib
 import os
 import threading
+import time
+from collections.abc import Callable
 from typing import Any
 
 import grpc
@@ -35,39 +37,96 @@ _OPTIONS = [
 ]
 
 
+ANSWERS = 1.0
+"""Time that each of several GCMs has to say whether it leads, s."""
+MOST = 16
+"""GCMs that are asked in one search, those that others name, too."""
+
 STREAMS = 100
 """Streams one connection carries. A host takes 256; the rest of them would wait unseen."""
 
 
 class Wire:
-    """The way to one GCM. ``address`` is ``host:port``; ``credentials`` are grpc's channel credentials, none = plain text.
+    """The way to one GCM, or to the one that leads among several. ``address`` is ``host:port``, or those of all with commas
+    between them; ``credentials`` are grpc's channel credentials, none = plain text.
 
     With ``TROCAR_TOKEN`` in the environment each request carries that token: another user's, who gave it (`trocar token`).
     """
 
     def __init__(self, address: str, credentials: Any = None, options: list[tuple[str, Any]] | None = None) -> None:
-        self.address = address
+        self._among = [one.strip() for one in address.split(",") if one.strip()] or [address]
+        self.address = self._among[0]
+        self.moved: Callable[[], None] = lambda: None
+        """Called when another GCM leads than before."""
+        self._looking = threading.Lock()
         self._credentials = credentials
         self._merged = [*_OPTIONS, *(options or [])]
         token = os.environ.get("TROCAR_TOKEN", "").strip()
         self._metadata = (("authorization", f"Bearer {token}"),) if token else None
-        self.channel = self._channel()
+        self.channel = self._channel(self.address)
         self._unary: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._carriers: list[_Carrier] = []
         self.closed = False
 
-    def _channel(self) -> Any:
+    def _channel(self, address: str) -> Any:
         # Channels that may share a connection would.
         options = [*self._merged, ("grpc.use_local_subchannel_pool", 1)]
         if self._credentials is None:
-            return grpc.insecure_channel(self.address, options)
-        return grpc.secure_channel(self.address, self._credentials, options)
+            return grpc.insecure_channel(address, options)
+        return grpc.secure_channel(address, self._credentials, options)
+
+    def look(self, patience: float) -> bool:
+        """Looks for the GCM that leads among several, once and then ``patience`` seconds more; answers whether it is another one
+        than before.
+        """
+        if len(self._among) < 2:
+            return False
+        with self._looking:
+            until = time.monotonic() + patience
+            found = self._leader()
+            while found is None and not self.closed and time.monotonic() < until:
+                time.sleep(0.1)
+                found = self._leader()
+            if found is None or found == self.address or self.closed:
+                return False
+            with self._lock:
+                # Streams of the GCM before end by themselves.
+                before, self.channel, self.address = self.channel, self._channel(found), found
+                self._unary, self._carriers = {}, []
+        before.close()
+        self.moved()
+        return True
+
+    def _leader(self) -> str | None:
+        """The address of the GCM that leads."""
+        # One that hangs is asked after the others.
+        queue = [*(one for one in self._among if one != self.address), self.address]
+        asked: set[str] = set()
+        while queue and len(asked) < MOST:
+            address = queue.pop(0)
+            if address in asked:
+                continue
+            asked.add(address)
+            channel = self._channel(address)
+            try:
+                _unary(channel, "AttachService/Tell")(_proto.message("TellRequest")(), timeout=ANSWERS, metadata=self._metadata)
+                return address
+            except grpc.RpcError as e:
+                error = from_rpc(e, "AttachService/Tell", address)
+            finally:
+                channel.close()
+            if error.code == "UNIMPLEMENTED":
+                return address
+            if error.reason == "NOT_LEADER" and error.metadata.get("leader"):
+                queue.insert(0, error.metadata["leader"])
+        return None
 
     def _unary_of(self, name: str) -> Any:
         found = self._unary.get(name)
         if found is None:
-            found = self._unary[name] = _unary(self.channel, name)
+            with self._lock:
+                found = self._unary[name] = _unary(self.channel, name)
         return found
 
     def call(self, name: str, request: Any, timeout: float) -> Any:
@@ -77,17 +136,37 @@ class Wire:
             return self._unary_of(name)(request, timeout=timeout, metadata=self._metadata)
         except (grpc.RpcError, ValueError) as e:
             error = self.error(e, name)
+        # A GCM that does not lead has done nothing. What became of a call that had no answer is not known.
+        if error.reason in ("GCM_UNREACHABLE", "DEADLINE"):
+            self.look(0.0)
+        if error.reason == "NOT_LEADER" and self.look(timeout):
+            try:
+                return self._unary_of(name)(request, timeout=timeout, metadata=self._metadata)
+            except (grpc.RpcError, ValueError) as e:
+                error = self.error(e, name)
         raise error
 
     def stop(self, request: Any, timeout: float) -> Any:
         """Asks for a Stop: by the socket that a host of this user has for that alone, so that it waits for nobody's
-        calls and connections; where there is none, as every call.
+        calls and connections; where there is none, as every call. Of several GCMs each is asked until one has stopped: one that
+        doubts its lead stops what it still reaches.
         """
+        __tracebackhide__ = True
+        if len(self._among) > 1 and not self.closed:
+            for address in [self.address, *(one for one in self._among if one != self.address)]:
+                try:
+                    return self._stop_at(address, request, min(timeout, 2 * ANSWERS))
+                except TrocarError as error:
+                    if error.reason not in ("NOT_LEADER", "GCM_UNREACHABLE", "DEADLINE"):
+                        raise
+        return self._stop_at(self.address, request, timeout)
+
+    def _stop_at(self, address: str, request: Any, timeout: float) -> Any:
         __tracebackhide__ = True
         name = "GcmService/Stop"
         # A path would be no name of a host.
         options = [*self._merged, ("grpc.use_local_subchannel_pool", 1), ("grpc.default_authority", "localhost")]
-        for path in stop_doors(self.address) if self._credentials is None and not self.closed else ():
+        for path in stop_doors(address) if self._credentials is None and not self.closed else ():
             channel = grpc.insecure_channel(f"unix:{path}", options)
             try:
                 return _unary(channel, name)(request, timeout=timeout, metadata=self._metadata)
@@ -98,7 +177,16 @@ class Wire:
             # A socket that a killed host left refuses at once.
             if error.reason != "GCM_UNREACHABLE":
                 raise error
-        return self.call(name, request, timeout)
+        if address == self.address:
+            return self.call(name, request, timeout)
+        channel = self._channel(address)
+        try:
+            return _unary(channel, name)(request, timeout=timeout, metadata=self._metadata)
+        except grpc.RpcError as e:
+            error = from_rpc(e, name, address)
+        finally:
+            channel.close()
+        raise error
 
     def begin(self, name: str, request: Any, timeout: float) -> Any:
         """Asks and hands back grpc's future."""
@@ -157,7 +245,7 @@ class Wire:
                 raise self.error(ValueError(), "stream")
             found = next((c for c in self._carriers if c.streams < STREAMS), None)
             if found is None:
-                found = _Carrier(self._channel())
+                found = _Carrier(self._channel(self.address))
                 self._carriers.append(found)
             found.streams += 1
             return found
