@@ -175,7 +175,8 @@ impl Gcm {
             let Err(lost @ Refusal::ProcessLost { .. }) = told else {
                 // A process speaks for its own components.
                 let mine = |halted: Vec<Halted>| halted.into_iter().filter(|h| h.id.process == *process);
-                return told.map(|halted| Told { session, halted: mine(halted).collect() });
+                let told = told.map(|halted| Told { session, halted: mine(halted).collect() });
+                return told.inspect(|told| self.ended_since(process, told, halting.decision));
             };
             let (mut is_back, later) = (false, self.started_after(process, halting.decision));
             self.edit_if(|graph| {
@@ -203,6 +204,21 @@ impl Gcm {
         let mine = wanted.components.iter().filter(|(id, _)| id.process == *process);
         let later = mine.filter(|(_, c)| c.grant.is_some_and(|grant| grant.decision > decision.0));
         later.map(|(id, _)| id.clone()).collect()
+    }
+
+    /// Notes components that were stopped in a session that has ended since: what it said of them is not
+    /// listed any more, and they do not go on by themselves in the next.
+    fn ended_since(&self, process: &Name, Told { session, halted }: &Told, decision: Decision) {
+        let (graph, later) = (self.graph(), self.started_after(process, decision));
+        let mut sessions = self.inner.sessions.lock();
+        if sessions.holder(process) == *session {
+            return;
+        }
+        for halted in halted.iter().filter(|halted| halted.done.is_ok() && !later.contains(&halted.id)) {
+            if let Some(component) = graph.components.get(&halted.id) {
+                sessions.on_return.stop(&halted.id, component.state);
+            }
+        }
     }
 
     /// Enters the components that a process has stopped.

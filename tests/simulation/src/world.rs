@@ -489,8 +489,10 @@ fn of_process(
         if has.is_none() && is_excused && has_refused(id, &[name]) {
             continue;
         }
+        // One that is not configured has no settings: it gets all of them with its first configuration.
+        let settings = |c: &Component| (c.state != State::Created).then(|| c.config.clone());
         let is_same = |c: &Component| {
-            (&c.class, &c.config, c.state) == (&component.class, &component.config, component.state)
+            (&c.class, settings(c), c.state) == (&component.class, settings(component), component.state)
         };
         if !has.is_some_and(is_same) {
             let of = |c: &Component| format!("{} {} {}", c.class.name, c.state, c.config);
