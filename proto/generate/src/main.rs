@@ -70,7 +70,8 @@ fn generate(root: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
     etcd(root, out)?;
 
     let files = FILES.map(|file| format!("trocar/v1/{file}.proto"));
-    let sources = files.into_iter().chain([JOURNAL.to_owned(), ETCD.to_owned()]).map(|file| (file, root.to_path_buf()));
+    let sources =
+        files.into_iter().chain([JOURNAL.to_owned(), ETCD.to_owned()]).map(|file| (file, root.to_path_buf()));
     let results = GENERATED.map(|name| (name.to_owned(), out.to_path_buf()));
     let mut sums = String::new();
     for (name, folder) in sources.into_iter().chain(results) {
