@@ -19,7 +19,11 @@ def main(argv: list[str] | None = None) -> int:
         prog="trocar-ire", description="Interactive research environment: IPython with a running trocar system as `ire`."
     )
     parser.add_argument("file", nargs="?", help="run this Python file, then stop (with -i: stay)")
-    parser.add_argument("--gcm", metavar="ADDR", help="address of the GCM to ask; of several, all with commas between them [default: $TROCAR_GCM or 127.0.0.1:50551]")
+    parser.add_argument(
+        "--gcm",
+        metavar="ADDR",
+        help="address of the GCM to ask; of several, all with commas between them [default: $TROCAR_GCM or 127.0.0.1:50551]",
+    )
     parser.add_argument("--name", default="ire", help="name of this process in the graph [default: %(default)s]")
     parser.add_argument("-c", metavar="CODE", dest="code", help="run this code, then stop (with -i: stay)")
     parser.add_argument("-i", dest="stay", action="store_true", help="stay after the file or the code")
