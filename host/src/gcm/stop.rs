@@ -142,6 +142,10 @@ impl Gcm {
                     order.await.map_err(|e| Refusal::Internal { text: format!("stopping panicked: {e}") })?;
                 match told {
                     Ok(told) => {
+                        if told.halted.iter().any(|halted| halted.done.is_err()) {
+                            // What became of it is entered before the answer: the next look shows it.
+                            self.hear_out(&process).await;
+                        }
                         known.extend(told.halted.iter().map(|halted| halted.id.clone()));
                         self.note(&process, told, &mut done);
                     }
