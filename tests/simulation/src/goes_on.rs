@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use trocar_model::{ComponentId, Connection, Request, Safety, Target, Which};
 
-/// How a component came to rest.
+/// Way in which a component came to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
     /// Somebody ordered it.
@@ -76,7 +76,8 @@ impl GoesOn {
 
     /// A component that goes on by itself in a new incarnation.
     pub(super) fn moves(&mut self, id: &ComponentId) {
-        if let Some(since) = self.again.remove(id) {
+        // One that refused to be started again is set in motion by another request.
+        if let Some(since) = self.again.remove(id).filter(|since| !self.has_refused(id, *since)) {
             self.runs.insert(id.clone(), since);
         }
     }

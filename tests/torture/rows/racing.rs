@@ -48,19 +48,19 @@ pub(super) fn class(component: usize) -> &'static str {
     if component < CLIENTS { "fixture-torture/sink" } else { "fixture-torture/source" }
 }
 
-/// What one was told.
+/// Answer to one client.
 struct Told {
     id: String,
     group: usize,
     event: Event<Call>,
-    /// The GCM that answered, counted by its kills.
-    life: usize,
+    /// The GCM that answered, counted by its kills; absent: one was killed while it was asked.
+    life: Option<usize>,
 }
 
-/// What those who ask share.
+/// Shared by all clients.
 struct Crowd {
     ends: AtomicBool,
-    /// How many GCMs were killed so far, and whether one is there.
+    /// Number of GCMs that were killed so far, and whether one is there.
     life: Mutex<(usize, bool)>,
     news: Condvar,
 }
@@ -73,13 +73,18 @@ impl Crowd {
         there.unwrap_or_else(PoisonError::into_inner).0
     }
 
+    /// Number of GCMs that were killed so far.
+    fn kills(&self) -> usize {
+        self.life.lock().unwrap_or_else(PoisonError::into_inner).0
+    }
+
     fn set(&self, to: impl FnOnce(&mut (usize, bool))) {
         to(&mut self.life.lock().unwrap_or_else(PoisonError::into_inner));
         self.news.notify_all();
     }
 }
 
-/// What became of one request.
+/// Outcome of one request.
 #[derive(Debug)]
 pub(super) enum Heard {
     Said(Said, Option<u64>),
@@ -127,7 +132,7 @@ fn race(run: &Run, book: &mut Book) -> Result<(), String> {
 
 /// Kills the GCM while everybody asks, and has another one go on from its journal.
 fn kill_once(site: &mut Site, crowd: &Crowd) -> Result<(), String> {
-    // What is under way is lost; nobody asks where nobody answers.
+    // Requests under way are lost; nobody asks where nobody answers.
     crowd.set(|(life, is_there)| (*life, *is_there) = (*life + 1, false));
     site.gcm.kill();
     site.gcm_again()?;
@@ -153,7 +158,7 @@ fn ask_on(n: usize, address: &str, crowd: &Crowd, random: &mut fastrand::Rng) ->
             match ask(&rpc, group, what, &id) {
                 // Half of them ask again, by the same id.
                 Heard::Lost if random.bool() => {}
-                heard => break (heard, life),
+                heard => break (heard, (crowd.kills() == life).then_some(life)),
             }
         };
         let ended = now_ns();
@@ -210,7 +215,7 @@ pub(super) fn ask(rpc: &Rpc, group: usize, what: What, id: &str) -> Heard {
         }
     };
     match answer {
-        // What had nothing to do has no revision of its own.
+        // A request with nothing to do has no revision of its own.
         Ok((plan, _)) if plan.is_empty() => Heard::Said(Said::Nothing, None),
         Ok((_, revision)) => Heard::Said(Said::Done, Some(revision)),
         Err(refused) => heard(group, &refused),
@@ -233,7 +238,7 @@ fn heard(group: usize, refused: &Refused) -> Heard {
     Heard::Said(said, None)
 }
 
-/// How much was tried, without which the claims beside it would show nothing.
+/// Number of attempts, without which the claims beside it would show nothing.
 fn tell(book: &mut Book, told: &[Told], refused: &[String], kills: usize) {
     let lost = told.iter().filter(|told| told.event.is_lost).count();
     let done = told.iter().filter(|told| told.event.place.is_some()).count();
@@ -295,10 +300,11 @@ pub(super) fn listed(group: usize, list: &ListResponse) -> There {
 fn on_record(book: &mut Book, told: &[Told], journal: &Journal) {
     book.check("numbers, terms and revisions only grow (G2)", journal.records.len(), journal.grows());
     let by_request = journal.by_request();
-    // What one GCM has put on record stands behind what it was asked before.
+    // Records of one GCM stand behind the requests that it was asked before.
     let mut last = BTreeMap::new();
-    for told in told.iter().filter(|told| told.event.place.is_some()) {
-        let began = last.entry(told.life).or_insert(0);
+    let placed = told.iter().filter(|told| told.event.place.is_some());
+    for (told, life) in placed.filter_map(|told| Some((told, told.life?))) {
+        let began = last.entry(life).or_insert(0);
         *began = told.event.began.max(*began);
     }
     let one = |told: &Told| {
@@ -309,7 +315,8 @@ fn on_record(book: &mut Book, told: &[Told], journal: &Journal) {
             (false, Some(place)) => records.len() == 1 && revisions == [place],
             // A refusal is not waited for: it may be lost with what came last.
             (false, None) => {
-                let may_be_lost = last.get(&told.life).is_none_or(|began| told.event.ended >= *began);
+                let last = told.life.and_then(|life| last.get(&life));
+                let may_be_lost = last.is_none_or(|began| told.event.ended >= *began);
                 revisions.is_empty() && (records.len() == 1 || may_be_lost && records.is_empty())
             }
         };
