@@ -88,6 +88,7 @@ impl<'a> Carrying<'a> {
                     }
                     self.gcm.taken_back(&change);
                 }
+                Err(refusal) if is_so(&change, &refusal) => self.gcm.taken_back(&change),
                 Err(refusal) => {
                     log::error!("undoing it ({}): {refusal}", text::line(&change));
                     // Whatever hangs, it may not go on moving.
@@ -118,7 +119,13 @@ impl<'a> Carrying<'a> {
 
     /// Carries out one change. A component that a Stop named meanwhile is not set in motion, or not left so.
     /// A component that hangs and is to be stopped or removed is not waited for.
+    ///
+    /// # Errors
+    /// NOT_LEADER: another GCM may lead by now, and nothing is set in motion for this one.
     pub(super) async fn one(&self, change: &Change, deadline: Instant) -> Result<Report, Refusal> {
+        if matches!(change, Change::Run { to: State::Active, .. }) {
+            self.gcm.inner.ledger.leads()?;
+        }
         self.one_of(change, self.claim.decision(), deadline).await
     }
 
@@ -212,6 +219,15 @@ impl<'a> Carrying<'a> {
     }
 }
 
+/// Tells whether a change was refused because it is so already.
+fn is_so(change: &Change, refusal: &Refusal) -> bool {
+    match refusal {
+        Refusal::ComponentNotFound { .. } => matches!(change, Change::Destroy { .. }),
+        Refusal::ConnectionNotFound { .. } => matches!(change, Change::Disconnect { .. }),
+        _ => false,
+    }
+}
+
 impl Gcm {
     /// Takes a change back in the graph alone. What was taken away, or stopped, is to stand as was decided
     /// when its process is made again.
@@ -229,9 +245,14 @@ impl Gcm {
         self.edit(|graph| {
             let known = graph.components.get(id).cloned();
             graph.carry_out(undo);
-            let is_decided = known.is_none() || goes_on;
-            let as_decided =
-                |state| Some(Component { state, health: Health::Lost, ..graph.components.get(id)?.clone() });
+            // One that was only just made anew is no more than CREATED, and was more.
+            let is_decided = known.as_ref().is_none_or(|known| known.state == State::Created) || goes_on;
+            let is_heard = self.inner.sessions.lock().holder(&id.process).is_some();
+            let as_decided = |state| {
+                let component = graph.components.get(id)?.clone();
+                let health = if is_heard { component.health } else { Health::Lost };
+                Some(Component { state, health, ..component })
+            };
             let stands = decided.filter(|_| is_decided).and_then(as_decided);
             stand_by(graph, id, stands.or(known));
         });

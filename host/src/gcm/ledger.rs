@@ -5,7 +5,7 @@
 //! seen, and it is tried again.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use parking_lot::{Mutex, MutexGuard};
@@ -63,6 +63,8 @@ pub(super) struct Ledger {
     /// Last revision that is durable.
     revision: AtomicU64,
     standing: watch::Sender<Standing>,
+    /// The store has refused records that wait since.
+    refused: AtomicBool,
     /// Present while there is a store.
     bell: Mutex<Option<Bell>>,
     /// True: nothing is written to the store any more.
@@ -120,6 +122,7 @@ impl Ledger {
             held: Mutex::new(Held { wanted, ..Held::default() }),
             durable: watch::Sender::new(0),
             standing: watch::Sender::new(standing),
+            refused: AtomicBool::new(false),
             ended: watch::Sender::new(bell.is_none()),
             bell: Mutex::new(bell),
         }
@@ -154,9 +157,13 @@ impl Ledger {
     /// the store is behind, they are to know more than it.
     pub(super) fn revision(&self) -> u64 {
         match *self.standing.borrow() {
-            // Where another GCM could lead, what is not on record was not decided.
+            // Another GCM could lead: a decision is one that is on record.
             _ if self.is_shared() => self.revision.load(Ordering::Relaxed),
+            // A disk that is slow may have it by the time at which somebody asks.
             Standing::Written => self.revision.load(Ordering::Relaxed),
+            Standing::Behind { .. } if !self.refused.load(Ordering::Relaxed) => {
+                self.revision.load(Ordering::Relaxed)
+            }
             Standing::None | Standing::Behind { .. } => self.wanted().revision,
         }
     }
@@ -190,6 +197,18 @@ impl Ledger {
             }
             Standing::None | Standing::Written => Ok(()),
         }
+    }
+
+    /// # Errors
+    /// NOT_LEADER: another GCM could lead, and may.
+    pub(super) fn leads(&self) -> Result<(), Refusal> {
+        self.lead.as_ref().map_or(Ok(()), Lead::holds)
+    }
+
+    /// Waits until nothing is written any more.
+    pub(super) async fn over(&self) {
+        // The sender lives as long as this.
+        let _ = self.ended.subscribe().wait_for(|ended| *ended).await;
     }
 
     /// Waits until a record is durable; a GCM that has its store to itself, no longer than until everybody
@@ -279,6 +298,7 @@ impl Ledger {
         if let Some((dropped, _)) = &batch.anew {
             self.held.lock().dropped -= dropped;
         }
+        self.refused.store(false, Ordering::Relaxed);
         self.revision.fetch_max(batch.revision, Ordering::Relaxed);
         self.durable.send_replace(batch.last);
         if self.bell.lock().is_some() {
@@ -295,6 +315,7 @@ impl Ledger {
         }
         held.bound();
         drop(held);
+        self.refused.store(true, Ordering::Relaxed);
         self.is_behind(why);
     }
 
@@ -317,8 +338,7 @@ impl Ledger {
         if self.bell.lock().take().is_some() {
             self.stands(Standing::Behind { why: "it is closed, since this GCM ends".into() });
         }
-        // The sender lives as long as this.
-        let _ = self.ended.subscribe().wait_for(|ended| *ended).await;
+        self.over().await;
     }
 
     /// Notes that nothing is written any more.

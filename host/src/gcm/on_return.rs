@@ -31,6 +31,15 @@ impl OnReturn {
         mine.map(|(id, c)| (id.clone(), *self.states.entry(id.clone()).or_insert(c.state))).collect()
     }
 
+    /// Keeps the wanted states of the components of a process before its reports are entered. Requests under
+    /// way have the last word of theirs.
+    pub(super) fn keep(&mut self, graph: &SystemGraph, process: &Name, under_way: &BTreeSet<ComponentId>) {
+        let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+        for (id, component) in mine.filter(|(id, _)| !under_way.contains(id)) {
+            self.states.entry(id.clone()).or_insert(component.state);
+        }
+    }
+
     /// Notes that a component seen in state `seen` is to stand still when it comes back. True: that is new.
     pub(super) fn stop(&mut self, id: &ComponentId, seen: State) -> bool {
         let state = self.states.get(id).copied().unwrap_or(seen);

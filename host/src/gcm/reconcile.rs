@@ -272,7 +272,9 @@ impl Gcm {
                 match amended {
                     Ok(()) => note(&mut slice, &change),
                     Err(_) if !self.hears(process, session) => return None,
-                    Err(refusal) if is_start(&change) => self.rests_all_the_same(&change, &refusal),
+                    Err(refusal @ Refusal::WrongState { .. }) if is_start(&change) => {
+                        self.rests_all_the_same(&change, &refusal);
+                    }
                     Err(refusal) if time == TIMES => {
                         self.not_amended(&change, &refusal);
                         if let Change::Configure { id, from, .. } = &change {
@@ -335,7 +337,7 @@ impl Gcm {
         carrying.one_of(change, granted, deadline).await.map(|_| ())
     }
 
-    /// Puts on record that a component stands still which could not go on.
+    /// Puts on record that a component stands still which is held off: a Stop is later than its grant.
     fn rests_all_the_same(&self, change: &Change, refusal: &Refusal) {
         log::warn!("{}: {refusal}", text::line(change));
         if let Change::Run { id, from, .. } = change {

@@ -357,6 +357,8 @@ fn as_on_record(
     taken.loose.extend(rests(graph, &settled, &inventory.components, !lacks && !goes_on));
     if goes_on || lacks {
         sessions.on_return.begin(&who.process);
+        // A component that was only just made is wanted as it was decided, not as it is seen.
+        sessions.on_return.keep(graph, &who.process, under_way);
         taken.gets_back = Some(already(graph, who, inventory, &mut taken.loose));
         taken.owed = unasked;
     } else {
