@@ -130,7 +130,7 @@ impl EtcdCluster {
         }
     }
 
-    /// What a member has logged.
+    /// Log of a member.
     pub fn log(&self, at: usize) -> String {
         fs::read_to_string(self.dir.path().join(format!("log{at}"))).unwrap_or_default()
     }

@@ -65,7 +65,7 @@ impl Journal {
     }
 }
 
-/// What `trocar` says on its standard output when it ends well.
+/// Standard output of `trocar` when it ends well.
 pub(crate) fn said(world: &World, args: &[&str]) -> Result<String, String> {
     let mut command = Command::new(files::built("trocar")?);
     command.args(args).env_remove("TROCAR_GCM").env("XDG_STATE_HOME", world.path("xdg-state"));

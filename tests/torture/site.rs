@@ -16,7 +16,7 @@ use crate::program::{Program, host_args, signal_to};
 use crate::rpc::Rpc;
 use crate::world::World;
 
-/// What the GCM is called where hosts are named.
+/// Name of the GCM among those of hosts.
 pub(crate) const GCM: &str = ":gcm";
 
 pub(crate) struct Site {
@@ -132,7 +132,7 @@ impl Site {
     }
 }
 
-/// What is observed while processes come: without what changes by itself.
+/// The observed system while processes come, without what changes by itself.
 fn standing(processes: &[trocar_proto::v1::Process]) -> String {
     let of = |p: &trocar_proto::v1::Process| format!("{} {:?} {}", p.name, p.state(), p.pid);
     processes.iter().map(of).collect::<Vec<_>>().join(", ")

@@ -73,13 +73,15 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
     if session.json() {
-        let line = json!({
+        let mut line = json!({
             "listening": hosting::address(&host),
             "pid": std::process::id(),
             "state": host.state_dir().path(),
-            "store": args.store.as_ref().map(ToString::to_string),
             "viewer": hosting::viewer(&hosting::address(&host)),
         });
+        if let Some(place) = &args.store {
+            line["store"] = place.to_string().into();
+        }
         say_to_keeper(&line.to_string());
         out::line(&line.to_string());
     } else {

@@ -24,7 +24,6 @@ use super::view::{
     ChangeView, DescribeView, ItemView, LogView, PluginView, ReplyView, RowView, SystemView, WaitView,
 };
 use super::{convert, out};
-use trocar::control::leader_named;
 use trocar::runtime_dir::Door;
 
 /// Port that a GCM listens on by default.
@@ -33,8 +32,14 @@ pub(super) const DEFAULT_GCM: &str = "127.0.0.1:50551";
 /// Time beyond the deadline of a call that a GCM may take to report that the deadline passed.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// Time that other GCMs have to answer a Stop, too, when one of them has stopped.
+/// Time that other GCMs have to answer a Stop, too, when the one that leads has stopped.
 const OTHERS: Duration = Duration::from_millis(300);
+
+/// Tells whether a GCM that leads has refused something, rather than that none was there.
+fn is_refusal(status: &tonic::Status) -> bool {
+    let told = client::explain(status);
+    !(told.transport || told.late || told.silent || told.reason == "NOT_LEADER")
+}
 
 /// Address of the GCM, form of the answers, and the connection once there is one.
 pub(super) struct Session {
@@ -85,7 +90,8 @@ impl Session {
     }
 
     /// Stops over a connection that waits for nothing else that is asked. Of several GCMs all are asked, side
-    /// by side: one that doubts its lead stops what it still reaches, and a Stop does no harm twice.
+    /// by side: one that doubts its lead stops what it still reaches, and a Stop does no harm twice. The
+    /// answer of the one that leads counts, then a refusal, then the answer of one that doubts.
     async fn stopped(
         &self,
         ask: impl Fn() -> tonic::Request<v1::StopRequest>,
@@ -100,7 +106,9 @@ impl Session {
                 Ok(client.gcm.stop(ask).await.map(tonic::Response::into_inner))
             });
         }
-        let (mut best, mut refused, mut until) = (None::<v1::StopResponse>, None, None);
+        let (mut sure, mut doubted, mut refused, mut until) = (None, None, None, None);
+        // Said by one that is not there, or does not lead.
+        let mut absent = None;
         loop {
             let next = match until {
                 Some(until) => tokio::time::timeout_at(until, asking.join_next()).await.ok().flatten(),
@@ -108,25 +116,26 @@ impl Session {
             };
             let Some(next) = next else { break };
             match next.map_err(|e| Failure::local("INTERNAL", e.to_string(), "please report this"))? {
+                Ok(Ok(answer)) if answer.doubted => doubted = Some(answer),
                 Ok(Ok(answer)) => {
                     until.get_or_insert_with(|| tokio::time::Instant::now() + OTHERS);
-                    best = best.filter(|best| best.revision >= answer.revision).or(Some(answer));
+                    sure = Some(answer);
                 }
-                // A refusal says more than that nobody is there, and a leader's more than that of others.
-                Ok(Err(status)) if leader_named(&status).is_none() => refused = Some(Ok(Err(status))),
-                other => refused = refused.or(Some(other)),
+                Ok(Err(status)) if is_refusal(&status) => refused = Some(status),
+                other => absent = absent.or(Some(other)),
             }
         }
-        match (best, refused) {
-            (Some(best), _) => Ok(Ok(best)),
-            (None, Some(refused)) => refused,
-            (None, None) => Err(Failure::no_gcm(&all, "there is no address")),
+        match (sure, refused, doubted, absent) {
+            (Some(answer), ..) | (None, None, Some(answer), _) => Ok(Ok(answer)),
+            (None, Some(status), ..) => Ok(Err(status)),
+            (None, None, None, Some(absent)) => absent,
+            (None, None, None, None) => Err(Failure::no_gcm(&all, "there is no address")),
         }
     }
 
     fn failed(&self, status: &tonic::Status) -> Failure {
         let told = client::explain(status);
-        if told.transport || told.reason == "NOT_LEADER" {
+        if told.transport || told.late || told.reason == "NOT_LEADER" {
             // Another may lead: it is looked for at the next question.
             self.client.lock().take();
         }

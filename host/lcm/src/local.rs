@@ -545,22 +545,7 @@ impl Lcm for LocalLcm {
     }
 
     async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
-        let held = self.held();
-        let is_around = |slot: &Slot| {
-            slot.execution.inside.as_deref().is_none_or(|host| {
-                let host = ComponentId::parse(host).ok();
-                host.and_then(|host| held.components.get(&host)).is_some_and(|host| host.instance.is_active())
-            })
-        };
-        let there = ids.into_iter().filter_map(|id| {
-            let slot = held.components.get(&id)?.clone();
-            let around = is_around(&slot);
-            Some((id, slot, around))
-        });
-        let there: Vec<_> = there.collect();
-        // What is counted is read without a lock.
-        drop(held);
-        Ok(there.into_iter().map(|(id, slot, around)| (id, detail::detail(&slot, around))).collect())
+        Ok(self.details_of(ids))
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {

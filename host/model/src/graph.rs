@@ -146,7 +146,7 @@ impl SystemGraph {
             }
             touched.processes.insert(name);
         }
-        // Of a connection its halves are shown, too, and why one is not there.
+        // The halves of a connection are shown, too, and why one is not there.
         let shows_halves = |c: &Connection| !c.is_near();
         leaning.retain(|id| {
             self.connections.get(id).is_some_and(shows_halves) && self.connections.touch(id, at)

@@ -85,7 +85,7 @@ impl<K: Ord + Clone, V: Clone> Table<K, V> {
         self.rows.contains_key(key)
     }
 
-    /// Those within a range of keys, sorted.
+    /// The rows within a range of keys, sorted.
     pub fn range<Q: Ord + ?Sized>(
         &self,
         range: impl RangeBounds<Q>,
@@ -237,7 +237,7 @@ impl<K, V> Default for Table<K, V> {
     }
 }
 
-/// Of what is in them; not of what has changed.
+/// Compares the values; not what has changed.
 impl<K: PartialEq, V: PartialEq> PartialEq for Table<K, V> {
     fn eq(&self, other: &Self) -> bool {
         self.rows.len() == other.rows.len()

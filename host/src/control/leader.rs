@@ -70,7 +70,7 @@ fn spelled(within: Duration) -> String {
     }
 }
 
-/// What an address answers.
+/// Answer of an address.
 enum Asked {
     Leads(Tokened, u64),
     /// Another leads.
@@ -95,7 +95,7 @@ async fn ask(addr: &str, door: Option<Door>, within: Duration) -> Asked {
 
 /// Returns the address of the GCM that leads, by the answer of one that does not; empty where it does not
 /// know.
-pub fn leader_named(refused: &Status) -> Option<String> {
+pub(super) fn leader_named(refused: &Status) -> Option<String> {
     let details = refused.get_error_details();
     let info = details.error_info().filter(|info| info.reason == "NOT_LEADER")?;
     Some(info.metadata.get("leader").cloned().unwrap_or_default())

@@ -28,7 +28,7 @@ mod tests;
 pub use attach::{AttachEdge, Outbound};
 pub use caller::{PortRules, Tokened, Viewer};
 pub use dial::dial;
-pub use leader::{Leader, addresses, find_leader, leader_named};
+pub use leader::{Leader, addresses, find_leader};
 pub use seat::Seat;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;

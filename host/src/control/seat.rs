@@ -129,7 +129,12 @@ async fn answer(State(seat): State<Seat>, mut request: Request<Body>) -> Respons
         }
         Now::Leads(reign) => match reign.lead.holds() {
             Err(refusal) if path != STOP => refusal,
-            _ => return call(reign.routes.clone(), request).await,
+            _ => {
+                let routes = reign.routes.clone();
+                // A call that waits does not keep the reign, whose end it may wait for.
+                drop(now);
+                return call(routes, request).await;
+            }
         },
     };
     request.extensions_mut().insert(refusal);

@@ -1,4 +1,4 @@
-//! What each state of the graph has changed: what those who follow it are told instead of the whole graph.
+//! Changes of each state of the graph, which its followers are told instead of the whole graph.
 //!
 //! Invariant: from a state that is kept, everything that is shown differently now is named; of one that is
 //! not kept any more, or is another GCM's, nothing is said, and its follower needs the whole graph.
@@ -22,7 +22,7 @@ pub(crate) struct History {
 struct States {
     /// The last state before those that are kept.
     before: u64,
-    /// What each state has changed, in order and without a gap.
+    /// Changes of each state, in order and without a gap.
     kept: VecDeque<Touched>,
     names: usize,
 }

@@ -90,7 +90,7 @@ impl Gcm {
         self.inner.graph.subscribe()
     }
 
-    /// What each state of the graph has changed, as far as it is kept.
+    /// Changes of each state of the graph, as far as they are kept.
     pub(crate) fn history(&self) -> &Arc<History> {
         &self.inner.history
     }

@@ -176,6 +176,11 @@ impl Gcm {
         let _ = self.inner.ledger.durable(self.inner.ledger.last()).await;
     }
 
+    /// Waits until nothing is written any more, which only a start of another GCM mends.
+    pub(crate) async fn journal_ended(&self) {
+        self.inner.ledger.over().await;
+    }
+
     /// Ends the way to the store, which then is another GCM's to use.
     pub(crate) async fn close_journal(&self) {
         // A disk that hangs keeps nobody.

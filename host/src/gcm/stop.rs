@@ -143,7 +143,7 @@ impl Gcm {
                 match told {
                     Ok(told) => {
                         if told.halted.iter().any(|halted| halted.done.is_err()) {
-                            // What became of it is entered before the answer: the next look shows it.
+                            // Its FAULT is entered before the answer: the next look shows it.
                             self.hear_out(&process).await;
                         }
                         known.extend(told.halted.iter().map(|halted| halted.id.clone()));

@@ -48,7 +48,7 @@ impl Candidacy {
     /// after which another leads when this one is not heard.
     ///
     /// # Errors
-    /// What lies at that place is not a journal that can be read. An etcd that does not answer is waited for.
+    /// The place has no journal that can be read. An etcd that does not answer is waited for.
     pub(super) async fn begin(
         seat: Seat,
         (place, address, ttl): (&EtcdPlace, String, Duration),
@@ -85,6 +85,16 @@ impl Candidacy {
 /// Tells whether the journal may be read at the next attempt.
 fn may_pass(error: &StoreError) -> bool {
     matches!(error.unusable, Unusable::Now | Unusable::NotLeading)
+}
+
+/// End of a reign.
+enum Over {
+    /// Another GCM may lead.
+    Lost(String),
+    /// Its records go nowhere: another GCM may do better.
+    Unwritten,
+    /// This GCM ends.
+    Ends,
 }
 
 impl Standing {
@@ -162,16 +172,22 @@ impl Standing {
     /// Reigns until the lead is lost, or this GCM is to end.
     async fn reign(&mut self, Reign { gcm, tenure }: Reign) {
         let lead = tenure.lead().clone();
-        let lost = tokio::select! {
-            why = lead.lost() => Some(why),
-            _ = self.end.wait_for(|end| *end) => None,
+        let over = tokio::select! {
+            why = lead.lost() => Over::Lost(why),
+            () = gcm.journal_ended() => Over::Unwritten,
+            _ = self.end.wait_for(|end| *end) => Over::Ends,
         };
-        match lost {
-            Some(why) => {
+        match over {
+            Over::Lost(why) => {
                 log::warn!("this GCM leads no more: {why}");
                 self.seat.knows_no_leader(&why);
             }
-            None => {
+            Over::Unwritten => {
+                log::error!("this GCM leads no more: its journal is not written any more");
+                self.seat.knows_no_leader("its journal is not written any more");
+                tenure.resign().await;
+            }
+            Over::Ends => {
                 self.seat.knows_no_leader("it ends");
                 gcm.close_journal().await;
                 tenure.resign().await;

@@ -1,4 +1,4 @@
-//! What every journal is made of, wherever it lies: its identity and head, and the chain of its records.
+//! Parts that every journal has, wherever it lies: identity, head, and the chain of its records.
 //!
 //! Invariant: a record counts only when it follows the one before it, by number and by hash, and the newest
 //! is the one that the head names. No store judges this by itself.

@@ -2373,6 +2373,10 @@ pub struct StopResponse {
     /// others stand still.
     #[prost(message, repeated, tag = "6")]
     pub failed: ::prost::alloc::vec::Vec<SkippedComponent>,
+    /// True: among several GCMs another one may lead by now, and hear processes that this one does not. Ask
+    /// each of them.
+    #[prost(bool, tag = "7")]
+    pub doubted: bool,
 }
 /// Asks for Resume.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -2669,7 +2673,8 @@ pub struct ListResponse {
     /// pages are asked for is on one of them; equal etags say that nothing changed meanwhile.
     #[prost(string, tag = "9")]
     pub next_page_token: ::prost::alloc::string::String,
-    /// Place from which a Watch goes on, for its `after`; it tells of the whole system, whatever was listed.
+    /// Place from which a Watch goes on, for its `after`; it tells of the whole system, whatever was listed. Of
+    /// several pages take that of the first: later ones know of changes that the pages before do not have.
     #[prost(string, tag = "10")]
     pub cursor: ::prost::alloc::string::String,
 }

@@ -104,10 +104,34 @@ def test_nobody_who_leads_is_told(managers):
     assert refused.value.reason == "NOT_LEADER"
 
 
-def test_a_stop_is_asked_of_each_until_one_has_stopped(managers):
+def doubts(manager):
+    """It stops all the same, and says so."""
+
+    def stop(request, context):
+        manager.stopped.append(list(request.paths))
+        return message("StopResponse", revision=7, doubted=True)
+
+    manager.answers["GcmService/Stop"] = stop
+
+
+def test_a_stop_is_asked_of_one_that_doubts_its_lead_when_none_leads(managers):
     for manager in managers:
         manager.leader = None
-    # It doubts its lead, and stops all the same.
-    managers[2].answers["GcmService/Stop"] = managers[2].stop
+    doubts(managers[2])
     trocar.stop("host/**", address=addresses(managers))
     assert [manager.stopped for manager in managers] == [[], [], [["host/**"]]]
+
+
+def test_the_answer_of_the_one_that_leads_counts_though_another_one_doubts(managers):
+    leads(managers, managers[1])
+    doubts(managers[0])
+
+    def refuse(request, context):
+        managers[1].stopped.append(list(request.paths))
+        raise packed(grpc.StatusCode.DEADLINE_EXCEEDED, "it does not answer", "STOP_NOT_TOLD")
+
+    managers[1].answers["GcmService/Stop"] = refuse
+    with pytest.raises(trocar.TrocarError) as refused:
+        trocar.stop("host/**", address=addresses(managers))
+    assert refused.value.reason == "STOP_NOT_TOLD"
+    assert [manager.stopped for manager in managers] == [[["host/**"]], [["host/**"]], []]

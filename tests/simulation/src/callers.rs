@@ -149,7 +149,7 @@ async fn answered(
     if !is_open {
         truth.start_answered(asked.event);
     }
-    // What is only taken away is taken away at any time.
+    // A removal may come at any time.
     if !matches!(answer, Err(Refusal::ProcessLost { .. } | Refusal::LcmTimeout { .. })) {
         truth.end_answered(asked.event);
     }
@@ -244,7 +244,7 @@ fn accepted(world: &World, asked: &Asked, done: &Executed) {
 
 /// Notes what a request may have changed that was not accepted.
 fn nobody_knows(truth: &Truth, asked: &Asked) {
-    // Of what was asked before is known as much as then.
+    // An earlier request is known as well as then.
     let requests = if asked.is_first() { asked.requests.as_slice() } else { &[] };
     for request in requests {
         match request {

@@ -14,14 +14,14 @@ pub(crate) const ALL: usize = CLIENTS + SERVERS;
 
 pub(crate) struct Group;
 
-/// What is there: components, and whom each client is connected to.
+/// State of a group: components, and whom each client is connected to.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct There {
     pub(crate) components: [bool; ALL],
     pub(crate) sources: [Option<usize>; CLIENTS],
 }
 
-/// What was asked.
+/// A request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum What {
     Create(usize),
@@ -30,7 +30,7 @@ pub(crate) enum What {
     Disconnect { client: usize, server: usize },
 }
 
-/// What was answered.
+/// An answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Said {
     Done,

@@ -11,7 +11,7 @@ use std::hash::Hash;
 /// Most configurations that are tried: more would be no answer in time.
 const MOST_TRIED: usize = 20_000_000;
 
-/// What a system does with one call after the other.
+/// A system that does one call after the other.
 pub(crate) trait Model {
     type State: Clone + Eq + Hash + Debug;
     type Call: Debug;
@@ -47,23 +47,23 @@ struct Step<S> {
 struct Search<'e, M: Model> {
     /// In the order of their questions.
     events: Vec<&'e Event<M::Call>>,
-    /// Of each that has a place: how many have an earlier one.
+    /// Number of calls with an earlier place, of each that has one.
     rank: Vec<Option<usize>>,
     done: Vec<bool>,
     /// All before it are done.
     first: usize,
-    /// Of those with a place: how many are done.
+    /// Number of calls with a place that are done.
     placed: usize,
     state: M::State,
     answered_left: usize,
 }
 
-/// What can be next, and what stands in the way of everything else.
+/// Calls that can be next, and those that stand in the way of all others.
 struct Window<S> {
     choices: Vec<(usize, S)>,
-    /// Those that are done among the ones that are not.
+    /// Calls that are done among those that are not.
     ahead: Vec<u32>,
-    /// Those that are not done, of which one has to be next.
+    /// Calls that are not done, of which one has to be next.
     open: Vec<usize>,
 }
 
@@ -153,7 +153,7 @@ impl<'e, M: Model> Search<'e, M> {
             }
             let Some(state) = M::after(&self.state, &event.call) else { continue };
             match (event.is_lost, state == self.state) {
-                // What changes nothing can as well be first.
+                // A call that changes nothing can as well be first.
                 (false, true) => return Window { choices: vec![(index, state)], ahead, open },
                 (false, false) => answered.push((index, state)),
                 (true, true) => {}
@@ -290,10 +290,10 @@ mod tests {
         assert!(!is(&[lost(Write(1), 0, 1), event(Read(0), 2, 3), event(Read(1), 4, 5)]), "later");
         let twice = [lost(Write(1), 0, 1), event(Read(1), 2, 3), event(Write(2), 4, 5), event(Read(1), 6, 7)];
         assert!(!is(&twice));
-        // Of several, each for itself.
+        // Several lost calls are each for itself.
         let two = |read| is(&[lost(Write(1), 0, 3), lost(Write(2), 0, 3), event(Read(read), 4, 5)]);
         assert!(two(0) && two(1) && two(2));
-        // What nobody was told of is nobody's to explain.
+        // An answer that nobody got is nobody's to explain.
         assert!(is(&[lost(Write(1), 0, 3), lost(Write(2), 0, u64::MAX)]));
     }
 

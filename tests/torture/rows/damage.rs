@@ -22,10 +22,10 @@ pub(crate) const ROWS: &[Row] =
 /// Components that are created one after the other: each is a record.
 const MADE: usize = 16;
 const JOURNAL: &str = "journal.redb";
-/// What is at the end of a file when a write was torn.
+/// End of a file whose write was torn.
 const TAIL: usize = 4096;
 
-/// What became of a GCM at a damaged journal.
+/// Fate of a GCM at a damaged journal.
 enum Outcome {
     Refused,
     /// It has so many of the components, and no other.

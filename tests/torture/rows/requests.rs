@@ -40,7 +40,7 @@ fn site() -> Result<Site, String> {
     Ok(site)
 }
 
-/// What can be wrong with a Connect: its ends, the reason of the refusal, and the part it names.
+/// Mistakes of a Connect: its ends, the reason of the refusal, and the part it names.
 const MISFITS: [(&str, &str, &str, &str); 14] = [
     ("nowhere/sink/value", "b/source/value", "PROCESS_NOT_FOUND", "nowhere"),
     ("b/sink/value", "nowhere/source/value", "PROCESS_NOT_FOUND", "nowhere"),
@@ -91,7 +91,7 @@ fn create(rpc: &Rpc, path: &str, id: &str, expected_revision: Option<u64>) -> An
     done(async { rpc.gcm().create(request).await }).map(|answer| answer.revision)
 }
 
-/// What many are told who ask at the same time.
+/// Answers to many who ask at the same time.
 fn all_told<T: Send>(times: u64, ask: impl Fn(u64, &Rpc) -> T + Sync, address: &str) -> Vec<T> {
     let (barrier, ask) = (Barrier::new(THREADS as usize), &ask);
     thread::scope(|scope| {
@@ -235,7 +235,7 @@ fn used(_: &Run, book: &mut Book) -> Result<(), String> {
     let is = if of_b { Err(format!("{:?} {:?}", list.components, list.connections)) } else { Ok(()) };
     book.check("what is forgotten takes all of it along, no connection dangles", 1, is);
     book.check("what is left is whole (G3)", 1, agree(&site.rpc, &Desired::now(&site.rpc)?));
-    // What used it is free for another one.
+    // Its ends are free for another one.
     site.host_again("b")?;
     site.await_all()?;
     eventually("it comes back empty, and can be used", || {

@@ -72,7 +72,7 @@ struct Clock {
 }
 
 impl Clock {
-    /// How long something takes that must succeed.
+    /// Time of something that must succeed.
     fn time<T>(&self, what: &str, act: impl FnOnce() -> Answer<T>) -> Result<(T, Timed), String> {
         self.witness.forget();
         let began = now_ns();

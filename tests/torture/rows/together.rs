@@ -22,7 +22,7 @@ pub(crate) const ROWS: &[Row] = &[
 
 const ARM: &str = "a/arm";
 
-/// What moves in `a` by what `b` gives.
+/// An actuator in `a` that moves by what `b` gives.
 fn make(site: &Site) -> Result<(), String> {
     let (rpc, fixture) = (&site.rpc, |class: &str| format!("fixture-torture/{class}"));
     let book = json!({ "book": site.world.text("arm.book") });
@@ -88,7 +88,7 @@ fn all_at_once(run: &Run, book: &mut Book) -> Result<(), String> {
     site.down(book)
 }
 
-/// What moves nothing runs, what moves something waits.
+/// Sensors run, actuators wait.
 fn restored(site: &Site) -> Result<(), String> {
     site.await_all()?;
     eventually("all of it is there", || {

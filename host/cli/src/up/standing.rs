@@ -29,7 +29,7 @@ pub(super) struct Standing {
     pub(super) components: BTreeMap<String, ComponentView>,
     /// By number.
     pub(super) connections: BTreeMap<u64, ConnectionView>,
-    /// Where the last news ended.
+    /// Cursor of the last news.
     pub(super) cursor: String,
 }
 

@@ -1,9 +1,33 @@
-//! Figures of one component for Describe: its timing, its counters, its thread.
+//! Figures of components for List and Describe: their timing, their counters, their threads.
 //!
 //! Invariant: reads counters only; never enters the component.
 
+use trocar_model::ComponentId;
+
 use super::super::{Detail, Spread};
-use super::Slot;
+use super::{LocalLcm, Slot};
+
+impl LocalLcm {
+    /// Returns the figures of those that are there.
+    pub(super) fn details_of(&self, ids: Vec<ComponentId>) -> Vec<(ComponentId, Detail)> {
+        let held = self.held();
+        let is_around = |slot: &Slot| {
+            slot.execution.inside.as_deref().is_none_or(|host| {
+                let host = ComponentId::parse(host).ok();
+                host.and_then(|host| held.components.get(&host)).is_some_and(|host| host.instance.is_active())
+            })
+        };
+        let there = ids.into_iter().filter_map(|id| {
+            let slot = held.components.get(&id)?.clone();
+            let around = is_around(&slot);
+            Some((id, slot, around))
+        });
+        let there: Vec<_> = there.collect();
+        // Counters are read without a lock.
+        drop(held);
+        there.into_iter().map(|(id, slot, around)| (id, detail(&slot, around))).collect()
+    }
+}
 
 /// The reason why its phase does not fit.
 fn note(slot: &Slot) -> Option<String> {
@@ -12,7 +36,7 @@ fn note(slot: &Slot) -> Option<String> {
 }
 
 /// `around`: whether the component it runs inside of, if any, is ACTIVE.
-pub(super) fn detail(slot: &Slot, around: bool) -> Detail {
+fn detail(slot: &Slot, around: bool) -> Detail {
     let s = slot.instance.books.steps.snapshot();
     let spread = |m: trocar_rt::timing::Spread| Spread {
         avg_ns: m.avg_ns,

@@ -94,7 +94,7 @@ proptest! {
     ) {
         let mut graph = stage();
         graph.settle();
-        // What was listed with each pair of newest and number, of one process's components.
+        // Components of one process, as they were listed with each pair of newest and number.
         let mut tags: BTreeMap<(u64, usize), Table<ComponentId, Component>> = BTreeMap::new();
         for edits in states {
             let before = graph.clone();

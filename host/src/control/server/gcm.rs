@@ -247,15 +247,17 @@ impl GcmService for Edge {
             return past::stop(process, lcm, request).await.map(Response::new);
         }
         let mut unread = Vec::new();
-        let (mut answer, done) = mutate!(self, request, StopResponse { failed }, |r: v1::StopRequest| {
-            let stop = convert::to_stop(r.paths, r.path)?;
-            unread = stop.unread;
-            Ok(vec![Asked::Stop { targets: stop.targets }])
-        });
+        let (mut answer, done) =
+            mutate!(self, request, StopResponse { failed, doubted }, |r: v1::StopRequest| {
+                let stop = convert::to_stop(r.paths, r.path)?;
+                unread = stop.unread;
+                Ok(vec![Asked::Stop { targets: stop.targets }])
+            });
         answer.warnings.extend(unread.iter().map(|(text, refusal)| format!("{text}: {refusal}")));
         let failed = done.failed.iter().map(|(target, refusal)| (target.to_string(), refusal.to_string()));
         let unread = unread.into_iter().map(|(text, refusal)| (text, refusal.to_string()));
         answer.failed = failed.chain(unread).map(|(path, why)| v1::SkippedComponent { path, why }).collect();
+        answer.doubted = self.gcm.as_ref().is_some_and(|gcm| gcm.is_doubted());
         Ok(Response::new(answer))
     }
 
@@ -443,7 +445,7 @@ impl GcmService for Edge {
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Result<Response<WatchStream>, Status> {
         let gcm = self.gcm()?;
         let held = self.standing.watches.take()?;
-        Ok(Response::new(watch(gcm, request.get_ref(), held)?))
+        Ok(Response::new(watch(gcm, request.get_ref(), self.closing.clone(), held)?))
     }
 }
 

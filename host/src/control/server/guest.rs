@@ -35,12 +35,15 @@ impl GuestService for Edge {
             epoch: joined.registered.epoch,
             term: joined.registered.term,
         };
+        let mut closing = self.closing.clone();
         tokio::spawn(async move {
             // A guest that is gone already is noticed next.
             let _ = tell.send(Ok(first)).await;
             tokio::select! {
                 () = tell.closed() => {}
                 () = joined.ended() => {}
+                // Cut by this port: the guest comes to the next GCM.
+                _ = closing.changed() => {}
             }
         });
         Ok(Response::new(ReceiverStream::new(told)))

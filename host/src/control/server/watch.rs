@@ -22,9 +22,11 @@ use crate::gcm::{Gcm, History};
 
 pub(super) type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::WatchResponse, Status>> + Send>>;
 
-/// Followers of the graph, and what they have been told.
+/// One who follows the graph.
 struct Watcher {
     graphs: watch::Receiver<Arc<SystemGraph>>,
+    /// Ends with the port, or with the lead of its GCM.
+    closing: watch::Receiver<()>,
     history: Arc<History>,
     term: u64,
     /// Most items in a message; 0 = any number.
@@ -32,13 +34,14 @@ struct Watcher {
     tell: mpsc::Sender<Result<v1::WatchResponse, Status>>,
 }
 
-/// Answers a Watch for as long as it is read and the GCM is there.
+/// Answers a Watch for as long as it is read, and the port answers for this GCM.
 ///
 /// # Errors
-/// What it says cannot be.
+/// The request says something that cannot be.
 pub(super) fn watch(
     gcm: &Gcm,
     request: &v1::WatchRequest,
+    closing: watch::Receiver<()>,
     held: OwnedSemaphorePermit,
 ) -> Result<WatchStream, Status> {
     let invalid = |why: String, field: &str| Refusal::ArgumentInvalid {
@@ -59,7 +62,7 @@ pub(super) fn watch(
     };
     let (tell, told) = mpsc::channel(4);
     let history = gcm.history().clone();
-    let watcher = Watcher { graphs: gcm.watch(), history, term: gcm.term(), size, tell };
+    let watcher = Watcher { graphs: gcm.watch(), closing, history, term: gcm.term(), size, tell };
     tokio::spawn(async move {
         let _held = held;
         watcher.run(seen).await;
@@ -87,6 +90,7 @@ impl Watcher {
             drop(now);
             tokio::select! {
                 () = self.tell.closed() => return,
+                _ = self.closing.changed() => return,
                 changed = self.graphs.changed() => if changed.is_err() { return },
             }
         }

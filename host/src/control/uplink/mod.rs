@@ -192,8 +192,14 @@ impl<W: Way> Tie<W> {
                 return std::future::pending().await;
             }
             tokio::time::sleep(PAUSE.1).await;
-            if *doubted.borrow() && matches!(tokio::time::timeout(ATTEMPT, self.way.dial()).await, Ok(Ok(_)))
-            {
+            let finds = *doubted.borrow()
+                && matches!(tokio::time::timeout(ATTEMPT, self.way.dial()).await, Ok(Ok(_)));
+            if !finds {
+                continue;
+            }
+            // It may have been the same GCM, whose next heartbeat says that it leads again.
+            tokio::time::sleep(PAUSE.1).await;
+            if *doubted.borrow() {
                 return;
             }
         }
@@ -207,6 +213,9 @@ impl<W: Way> Tie<W> {
                 Err(UplinkError::NoGcm { addr, because }) => log::debug!("no GCM at {addr} yet: {because}"),
                 Err(UplinkError::Refused(Refusal::ProcessExists { .. }))
                     if clock::since(*since.get_or_insert_with(clock::now)) < HELD => {}
+                Err(UplinkError::Refused(refusal @ Refusal::JournalUnavailable { .. })) => {
+                    log::debug!("the GCM does not take this process in yet: {refusal}");
+                }
                 done => return done,
             }
             tokio::time::sleep(pause).await;

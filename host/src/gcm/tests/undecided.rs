@@ -1,4 +1,4 @@
-//! What was done and never decided when its GCM ended: nobody was told of it, and nothing of it stays.
+//! Changes that were done and never decided when their GCM ended: nobody was told, and nothing stays.
 
 use trocar_model::Request;
 

@@ -23,7 +23,7 @@ pub struct Candidate {
     place: EtcdPlace,
     pub(super) client: Client,
     keys: Keys,
-    /// Where others reach it.
+    /// Address at which others reach it.
     address: String,
     /// Time for which it leads when it is not heard.
     ttl: Duration,
@@ -32,12 +32,12 @@ pub struct Candidate {
 /// The GCM that leads, as its key says.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leader {
-    /// Where it is reached.
+    /// Address at which it is reached.
     pub address: String,
     pub term: u64,
 }
 
-/// What came of a campaign.
+/// Outcome of a campaign.
 #[derive(Debug)]
 pub enum Campaign {
     Won(Won),

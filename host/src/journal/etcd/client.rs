@@ -184,7 +184,7 @@ pub(super) struct Done {
     pub(super) succeeded: bool,
     /// Revision that it led to.
     pub(super) revision: i64,
-    /// What its reads have found, in their order.
+    /// Findings of its reads, in their order.
     pub(super) ranges: Vec<Vec<etcd::KeyValue>>,
 }
 
@@ -251,7 +251,7 @@ fn equal(key: Vec<u8>, target: CompareTarget, with: TargetUnion) -> etcd::Compar
     etcd::Compare { result, target: target.into(), key, target_union: Some(with) }
 }
 
-/// Where all of `compare` holds, does `success`; else reads those keys.
+/// Does `success` if all of `compare` holds; else reads those keys.
 pub(super) fn txn(compare: Vec<etcd::Compare>, success: Vec<Op>, failure: Vec<Op>) -> etcd::TxnRequest {
     let ops = |all: Vec<Op>| all.into_iter().map(|op| etcd::RequestOp { request: Some(op) }).collect();
     etcd::TxnRequest { compare, success: ops(success), failure: ops(failure) }

@@ -33,7 +33,7 @@ impl Keys {
         self.named("head")
     }
 
-    /// What the newest snapshot is made of.
+    /// Parts of the newest snapshot.
     pub(super) fn snapshot(&self) -> Vec<u8> {
         self.named("snapshot")
     }

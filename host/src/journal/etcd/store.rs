@@ -30,7 +30,7 @@ const KEPT: Bounds = Bounds { records: 20_000, bytes: 32 << 20, unfolded: 256 <<
 /// A journal in etcd, for the GCM that leads.
 pub struct EtcdStore {
     place: EtcdPlace,
-    /// Of its own, since a store is used on a thread that may block. `None`: it is dropped.
+    /// A runtime of its own, since a store is used on a thread that may block. `None`: it is dropped.
     runtime: Option<Runtime>,
     within: Within,
     known: Option<Known>,

@@ -20,7 +20,7 @@ pub(super) const PIECE: usize = 512 << 10;
 /// Bytes and operations of one transaction: etcd takes 1.5 MiB and 128 by default.
 const TXN: (usize, usize) = (1 << 20, 100);
 
-/// What has to be so for a transaction to be done.
+/// Conditions of a transaction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Held {
     /// Revision at which the key of this leader was made.

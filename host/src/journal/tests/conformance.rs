@@ -1,4 +1,4 @@
-//! What holds for every store: the same tests, over a file and over etcd.
+//! Promises of every store: the same tests, over a file and over etcd.
 //!
 //! Invariant: a test here knows a store by the trait alone, and where one lies by [`Place`].
 

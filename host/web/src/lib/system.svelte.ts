@@ -30,7 +30,7 @@ class System {
   onRenewed: (path: string) => void = () => {};
 
   #stop: AbortController | null = null;
-  /// Where the last message ended.
+  /// Cursor of the last message.
   #cursor = '';
 
   /// Follows until `pause` is called.
@@ -43,7 +43,7 @@ class System {
         for await (const news of gcm.watch({ after: this.#cursor }, { signal: stop.signal })) {
           if (this.standing === 'away') this.returns += 1;
           this.standing = 'live';
-          // Of several pages the last one has it.
+          // The last of several pages has it.
           this.#cursor = news.cursor;
           this.revision = news.revision;
           this.term = news.term;

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -148,18 +149,36 @@ class Wire:
 
     def stop(self, request: Any, timeout: float) -> Any:
         """Asks for a Stop: by the socket that a host of this user has for that alone, so that it waits for nobody's
-        calls and connections; where there is none, as every call. Of several GCMs each is asked until one has stopped: one that
-        doubts its lead stops what it still reaches.
+        calls and connections; where there is none, as every call. Several GCMs are asked side by side: one that doubts its lead
+        stops what it still reaches. The answer of the one that leads counts, then a refusal, then the answer of one that doubts.
         """
         __tracebackhide__ = True
-        if len(self._among) > 1 and not self.closed:
-            for address in [self.address, *(one for one in self._among if one != self.address)]:
-                try:
-                    return self._stop_at(address, request, min(timeout, 2 * ANSWERS))
-                except TrocarError as error:
-                    if error.reason not in ("NOT_LEADER", "GCM_UNREACHABLE", "DEADLINE"):
-                        raise
-        return self._stop_at(self.address, request, timeout)
+        if len(self._among) < 2 or self.closed:
+            return self._stop_at(self.address, request, timeout)
+        answers: queue.Queue[Any] = queue.Queue()
+
+        def ask(address: str) -> None:
+            try:
+                answers.put(self._stop_at(address, request, timeout))
+            except TrocarError as error:
+                answers.put(error)
+
+        for address in self._among:
+            threading.Thread(target=ask, args=(address,), name="trocar-stop", daemon=True).start()
+        doubted, refused, absent = None, None, None
+        for _ in self._among:
+            answer = answers.get()
+            if not isinstance(answer, TrocarError):
+                if not answer.doubted:
+                    return answer
+                doubted = answer
+            elif answer.reason in ("NOT_LEADER", "GCM_UNREACHABLE", "DEADLINE"):
+                absent = answer
+            else:
+                refused = answer
+        if refused is None and doubted is not None:
+            return doubted
+        raise refused or absent
 
     def _stop_at(self, address: str, request: Any, timeout: float) -> Any:
         __tracebackhide__ = True
@@ -177,7 +196,7 @@ class Wire:
             # A socket that a killed host left refuses at once.
             if error.reason != "GCM_UNREACHABLE":
                 raise error
-        if address == self.address:
+        if len(self._among) < 2:
             return self.call(name, request, timeout)
         channel = self._channel(address)
         try:
