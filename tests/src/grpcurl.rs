@@ -173,6 +173,17 @@ impl Grpcurl {
 impl Failure {
     fn read(method: &str, body: &Value, output: &std::process::Output) -> Self {
         let text = String::from_utf8_lossy(&output.stderr);
+        if let Some(why) = text.trim_start().strip_prefix("Failed to dial target host ") {
+            // Nobody listened, or not any more: the one who asked may have been late.
+            return Self {
+                code: "UNAVAILABLE",
+                reason: String::new(),
+                domain: String::new(),
+                message: why.trim().to_owned(),
+                details: Vec::new(),
+                exit_code: output.status.code().unwrap_or(-1),
+            };
+        }
         let status: Value = serde_json::from_str(&text).unwrap_or_else(|_| {
             panic!("grpcurl {method} {body} ended with {} and no gRPC status:\n{text}", output.status)
         });
