@@ -3,9 +3,13 @@
 //! Invariant: what a Stop named after the request came is not begun to be set in motion any more, and undoing
 //! sets no actuator in motion. A component that hangs and is to go is not waited for.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use futures_util::stream::FuturesUnordered;
+use tokio_stream::StreamExt;
 use trocar_lcm_api::{Decision, Order, Report, clock};
 use trocar_model::{
     Change, Component, ComponentId, Entry, Health, Plan, Refusal, Request, Safety, State, StopReason,
@@ -15,6 +19,7 @@ use trocar_model::{
 use super::answer::Executed;
 use super::changes::{HUNG, UNDO, id_of};
 use super::claims::{Claim, Part, Planned};
+use super::lanes::parts;
 use super::observed::stand_by;
 use super::{Gcm, text};
 
@@ -37,27 +42,65 @@ impl<'a> Carrying<'a> {
         self.claim.widen(plan, is_whole)
     }
 
-    /// Carries out all changes of the plan in `done`, or none of them.
+    /// Carries out all changes of the plan in `done`, or none of them. What does not need each other is done
+    /// side by side.
     ///
     /// # Errors
-    /// The first refusal; then the changes before it are taken back.
+    /// The first refusal, in the order of the plan; then the changes that were done are taken back.
     pub(super) async fn all_or_nothing(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
-        for (i, change) in done.plan.changes.iter().enumerate() {
-            let doomed = is_doomed(change, &done.plan.changes[i + 1..]);
+        let changes = &done.plan.changes;
+        let (mut reports, mut refused) = (BTreeMap::new(), BTreeMap::new());
+        for part in parts(changes) {
+            let goes = AtomicBool::new(true);
+            let mut lanes: FuturesUnordered<_> =
+                part.into_iter().map(|lane| self.lane(changes, lane, &goes, deadline)).collect();
+            while let Some((made, refusal)) = lanes.next().await {
+                reports.extend(made);
+                refused.extend(refusal);
+            }
+            if !refused.is_empty() {
+                break;
+            }
+        }
+        let Some((_, refusal)) = refused.pop_first() else {
+            done.reports.extend(reports.into_values().flatten());
+            return Ok(());
+        };
+        let made: Vec<Change> = reports.keys().map(|at: &usize| changes[*at].clone()).collect();
+        self.undo(&made).await;
+        Err(refusal)
+    }
+
+    /// Carries out these changes one after the other, until one of them, or of a lane beside it, is refused.
+    /// Returns the reports of what was done, and the refusal.
+    async fn lane(
+        &self,
+        changes: &[Change],
+        lane: Vec<usize>,
+        goes: &AtomicBool,
+        deadline: Instant,
+    ) -> (Vec<(usize, Option<Report>)>, Option<(usize, Refusal)>) {
+        let mut made = Vec::with_capacity(lane.len());
+        for at in lane.into_iter().take_while(|_| goes.load(Ordering::Relaxed)) {
+            let change = &changes[at];
+            let doomed = is_doomed(change, &changes[at + 1..]);
             let until = if doomed { deadline.min(clock::now() + HUNG) } else { deadline };
             // Callers that wait for what is removed are told that it is gone, not that it stands still.
             let asked = if doomed { as_removal(change) } else { change.clone() };
             match self.one(&asked, until).await {
-                Ok(report) => done.reports.push(report),
+                Ok(report) => made.push((at, Some(report))),
                 // The component goes away all the same: one that hangs must not keep itself.
-                Err(refusal) if doomed => log::warn!("{} before its removal: {refusal}", text::line(change)),
+                Err(refusal) if doomed => {
+                    log::warn!("{} before its removal: {refusal}", text::line(change));
+                    made.push((at, None));
+                }
                 Err(refusal) => {
-                    self.undo(&done.plan.changes[..i]).await;
-                    return Err(refusal);
+                    goes.store(false, Ordering::Relaxed);
+                    return (made, Some((at, refusal)));
                 }
             }
         }
-        Ok(())
+        (made, None)
     }
 
     /// Takes the done changes back, but for two things: an actuator that was stopped stays stopped, and so
@@ -81,7 +124,7 @@ impl<'a> Carrying<'a> {
             match self.one_of(&change, decision, clock::now() + UNDO).await {
                 Ok(_) => {}
                 // Its process makes up for it when it is back: it is to have what was decided.
-                Err(Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. }) => {
+                Err(refusal) if is_away(&refusal) || self.sent_back(&change, &refusal) => {
                     // Until then it goes on, whatever is listed.
                     if let Change::Run { id, from: State::Active, .. } = &change {
                         self.gcm.inner.sessions.lock().not_answered(id);
@@ -102,6 +145,26 @@ impl<'a> Carrying<'a> {
                 }
             }
         }
+    }
+
+    /// Ends the session of a process that has not taken a change back in time, though nothing hangs there: it
+    /// comes again with what it has. False: that is no way out.
+    fn sent_back(&self, undo: &Change, refusal: &Refusal) -> bool {
+        let process = match refusal {
+            Refusal::LcmTimeout { process, .. } => process,
+            Refusal::Busy { .. } => &id_of(undo).process,
+            _ => return false,
+        };
+        let graph = self.gcm.graph();
+        let hangs = graph.components.get(id_of(undo)).is_some_and(|c| c.health == Health::Unresponsive);
+        // What moves is stopped in this session, the sooner the better.
+        if hangs || matches!(undo, Change::Run { from: State::Active, .. }) {
+            return false;
+        }
+        let Some(session) = self.gcm.inner.sessions.lock().comes_again(process) else { return false };
+        log::warn!("undoing it ({}): {refusal}; its process is to come again", text::line(undo));
+        self.gcm.lost(process, session);
+        true
     }
 
     /// Notes that the LCM has said what became of an order to set a component in motion.
@@ -217,6 +280,10 @@ impl<'a> Carrying<'a> {
             }
         }
     }
+}
+
+fn is_away(refusal: &Refusal) -> bool {
+    matches!(refusal, Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. })
 }
 
 /// Tells whether a change was refused because it is so already.

@@ -46,6 +46,7 @@ mod generated;
 mod guests;
 mod holding;
 mod isolated;
+mod lanes;
 mod late;
 mod phases;
 mod reconcile;

@@ -35,6 +35,8 @@ pub struct Registration {
     pub revision: u64,
     /// Program of a process without an LCM; empty otherwise.
     pub guest: String,
+    /// It registers again when its session ends.
+    pub comes_again: bool,
 }
 
 /// The desired components and connections of one process.
@@ -59,6 +61,7 @@ impl Registration {
             slice: Slice::default(),
             revision: 0,
             guest: String::new(),
+            comes_again: false,
         }
     }
 }
@@ -114,6 +117,8 @@ struct Session {
     /// Number of the last Stop at the process itself that was answered.
     stopped_here: u64,
     pid: u32,
+    /// The process registers again when this ends.
+    comes_again: bool,
     lcm: Arc<dyn Lcm>,
     /// Questions that are answered when all present news has been entered; closed with the session.
     asks: mpsc::Sender<oneshot::Sender<()>>,
@@ -248,6 +253,11 @@ impl Sessions {
         self.live.get(process).map(|s| s.number)
     }
 
+    /// The session of a process that registers again when it ends.
+    pub(super) fn comes_again(&self, process: &Name) -> Option<u64> {
+        self.live.get(process).filter(|session| session.comes_again).map(|session| session.number)
+    }
+
     /// Tells whether the process was here at some time in the life of this GCM.
     pub(super) fn knows(&self, process: &Name) -> bool {
         self.met.contains(process)
@@ -332,7 +342,15 @@ impl Sessions {
         let session = self.newest;
         self.live.insert(
             who.process.clone(),
-            Session { number: session, stopped_here: 0, pid: who.pid, lcm, asks, card },
+            Session {
+                number: session,
+                stopped_here: 0,
+                pid: who.pid,
+                comes_again: who.comes_again,
+                lcm,
+                asks,
+                card,
+            },
         );
         // Earlier orders are over: it comes with what became of them. Until that is entered nobody knows how
         // it stands.

@@ -99,6 +99,7 @@ impl AttachEdge {
             slice: convert::slice_in(hello.slice.unwrap_or_default())?,
             revision: hello.revision,
             guest: String::new(),
+            comes_again: true,
         };
         let lcm = RemoteLcm::new(process.clone(), out.clone());
         let registered = self.gcm.register(who, lcm.clone(), inventory).await?;

@@ -40,7 +40,8 @@ pub(super) struct Process {
 
 impl Process {
     pub(super) async fn come(gcm: &Gcm, name_of: &str) -> Process {
-        let (lcm, who) = (FakeLcm::new(name_of), Registration::new(name(name_of), String::new()));
+        let who = Registration::new(name(name_of), String::new());
+        let (lcm, who) = (FakeLcm::new(name_of), Registration { comes_again: true, ..who });
         let mut process = Process { lcm, who };
         process.is_back(gcm).await;
         process
@@ -62,7 +63,7 @@ impl Process {
     }
 }
 
-fn connect(client: &str, server: &str) -> Request {
+pub(super) fn connect(client: &str, server: &str) -> Request {
     let port = |text| PortId::parse(text).unwrap();
     Request::Connect { client: port(client), server: port(server), options: Default::default() }
 }

@@ -1,9 +1,9 @@
 //! Changes that were done and never decided when their GCM ended: nobody was told, and nothing stays.
 
-use trocar_model::Request;
+use trocar_model::{ConnectionId, Request};
 
 use super::super::{Standing, Unusable};
-use super::journal::{Process, STOPPED, all_run, ended_within, gcm_with, shown};
+use super::journal::{Process, STOPPED, all_run, connect, ended_within, gcm_with, shown};
 use super::kept::Kept;
 use super::*;
 
@@ -125,5 +125,95 @@ async fn what_a_refused_request_had_taken_away_comes_back_when_its_process_is_st
             .await;
         assert_eq!(shown(&gcm.graph()), ["host/arm READY Ok", "host/cam ACTIVE Ok"], "{gone}");
         assert_eq!(again.lcm.state("host/cam"), Some(State::Active), "{gone}: {:?}", again.lcm.done());
+    }
+}
+
+#[tokio::test]
+async fn what_a_process_did_not_take_back_in_time_is_made_up_for_when_it_comes_again() {
+    let undone = [
+        "Remove host/new",
+        "Create host/cam",
+        "Resume host/cam",
+        "Disconnect host/arm/input from host/cam/value",
+    ];
+    for undo in undone {
+        let store = Kept::default();
+        let (gcm, mut host) = running(&store).await;
+        let other = Process::come(&gcm, "other").await;
+        let before = (shown(&gcm.graph()), store.wanted());
+        other.lcm.refuse("Create other/bad");
+        host.lcm.hold(undo);
+        let first = match undo {
+            "Remove host/new" => create("host/new"),
+            "Create host/cam" => Request::Remove { id: id("host/cam"), force: true },
+            "Resume host/cam" => stop("host/cam"),
+            _ => connect("host/arm/input", "host/cam/value"),
+        };
+        let asking = tokio::spawn({
+            let gcm = gcm.clone();
+            async move { ask(&gcm, vec![first, create("other/bad")]).await }
+        });
+        host.lcm.hangs(undo).await;
+        host.was_told(&gcm.graph());
+        // The time that it gets goes by at once.
+        tokio::time::pause();
+        let refusal = asking.await.unwrap().unwrap_err();
+        tokio::time::resume();
+        assert_eq!(refusal.reason(), "COMPONENT_REFUSED", "{undo}: {refusal}");
+        assert_eq!(gcm.graph().processes[&name("host")].state, ProcessState::Lost, "{undo}");
+        host.lcm.release(undo);
+        host.is_back(&gcm).await;
+        until(&gcm, undo, |graph| shown(graph) == before.0 && graph.connections.is_empty()).await;
+        all_run().await;
+        gcm.flush().await;
+        let wanted = store.wanted();
+        assert_eq!(wanted.components, before.1.components, "{undo}: that was decided");
+        assert!(wanted.connections.is_empty(), "{undo}");
+    }
+}
+
+#[tokio::test]
+async fn connections_of_different_processes_are_made_side_by_side_and_one_that_fails_takes_all_with_it() {
+    let store = Kept::default();
+    let gcm = gcm_with(&store).await;
+    let (a, b) = (Process::come(&gcm, "a").await, Process::come(&gcm, "b").await);
+    ask(&gcm, vec![create("a/x"), create("a/y"), create("b/x"), create("b/y")]).await.unwrap();
+    let wires = ["Connect a/x/input to a/y/value", "Connect b/x/input to b/y/value"];
+    for refuses in [false, true] {
+        a.lcm.hold(wires[0]);
+        b.lcm.hold(wires[1]);
+        if refuses {
+            b.lcm.refuse(wires[1]);
+        }
+        let asking = tokio::spawn({
+            let gcm = gcm.clone();
+            let both = vec![connect("a/x/input", "a/y/value"), connect("b/x/input", "b/y/value")];
+            async move { ask(&gcm, both).await }
+        });
+        // Neither is answered yet, and both are asked for.
+        a.lcm.hangs(wires[0]).await;
+        b.lcm.hangs(wires[1]).await;
+        b.lcm.release(wires[1]);
+        all_run().await;
+        assert!(!asking.is_finished(), "it waits for the other one");
+        a.lcm.release(wires[0]);
+        let done = asking.await.unwrap();
+        assert_eq!(done.is_err(), refuses, "{done:?}");
+        if refuses {
+            assert_eq!(a.lcm.done().last().unwrap(), "Disconnect a/x/input from a/y/value");
+            assert!(gcm.graph().connections.is_empty(), "all or nothing");
+        } else {
+            let numbers: Vec<u64> = gcm.graph().connections.keys().map(|id| id.0).collect();
+            assert_eq!(numbers, [1, 2]);
+            ask(
+                &gcm,
+                vec![
+                    Request::Disconnect { which: trocar_model::Which::Id(ConnectionId(1)) },
+                    Request::Disconnect { which: trocar_model::Which::Id(ConnectionId(2)) },
+                ],
+            )
+            .await
+            .unwrap();
+        }
     }
 }
