@@ -15,6 +15,7 @@ mod process;
 mod signals;
 mod sources;
 mod state_dir;
+mod takeover;
 mod threads;
 
 pub use builder::HostBuilder;
@@ -24,6 +25,7 @@ pub use memory::MemoryBounds;
 pub use process::Host;
 pub use signals::{StopRequest, say_to_keeper};
 pub use state_dir::{StateChoice, StateDir};
+pub use takeover::Predecessor;
 
 pub use crate::runtime_dir::state_home;
 

@@ -25,6 +25,8 @@ mod remembering;
 mod stopping;
 #[path = "processes/system.rs"]
 pub(crate) mod system;
+#[path = "processes/takeover.rs"]
+mod takeover;
 #[path = "processes/timed.rs"]
 mod timed;
 #[path = "processes/watching.rs"]

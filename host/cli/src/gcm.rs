@@ -11,13 +11,16 @@ use serde_json::json;
 use super::failure::{Done, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
-use trocar::host::{Host, StateChoice, say_to_keeper, state_home};
+use trocar::host::{Host, Predecessor, StateChoice, say_to_keeper, state_home};
 use trocar::journal::EtcdPlace;
 
 const EXAMPLES: &str = "\
 Example:
   trocar gcm
   trocar host --name left --gcm 127.0.0.1:50551 --listen 127.0.0.1:0   # in another terminal
+
+Another trocar, in the place of the one that runs:
+  /opt/trocar-new/trocar gcm --takeover
 
 Several GCMs for one system, of which one leads, over an etcd cluster:
   trocar gcm --listen 127.0.0.1:50551 --store etcd://127.0.0.1:2379,127.0.0.1:2479/lab7 --state /var/lib/a
@@ -27,15 +30,19 @@ Several GCMs for one system, of which one leads, over an etcd cluster:
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct GcmArgs {
-    /// Address to listen on; port 0 takes a free one.
-    #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
-    listen: String,
+    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:50551].
+    #[arg(long, value_name = "ADDR")]
+    listen: Option<String>,
     /// Where it keeps its state [default: trocar/gcm in the user's state directory].
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
     /// Forget what an earlier run left in the state directory; only counters go on.
     #[arg(long, conflicts_with = "store")]
     fresh: bool,
+    /// Go on in the place of the GCM that runs in that state directory, at its address. That one ends once
+    /// this program can read its journal, and hosts run on. Where none runs this one just starts.
+    #[arg(long, conflicts_with_all = ["store", "fresh"])]
+    takeover: bool,
     /// Keep the journal in etcd, and lead its system only while no other GCM of that place does.
     #[arg(long, value_name = "etcd://HOST:PORT,.../NAME")]
     store: Option<EtcdPlace>,
@@ -60,9 +67,26 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
         ));
     }
     logging::install(log::LevelFilter::Info);
-    let state = StateChoice::Durable(args.state.unwrap_or_else(|| state_home().join("gcm")));
+    let dir = args.state.unwrap_or_else(|| state_home().join("gcm"));
     let stop = args.tie.listen()?;
-    let (listen, rules) = (&args.listen, args.port.rules());
+    let before = if args.takeover { Predecessor::of(&dir)? } else { None };
+    if let (Some(before), Some(listen)) = (&before, &args.listen)
+        && before.addr().to_string() != *listen
+    {
+        return Err(Failure::usage(
+            format!(
+                "the GCM that is taken over from listens at {}, where its hosts look for it",
+                before.addr()
+            ),
+            "leave --listen out",
+        ));
+    }
+    let its_address = before.as_ref().map(|before| before.addr().to_string());
+    let listen = its_address.or(args.listen).unwrap_or_else(|| session::DEFAULT_GCM.to_owned());
+    if let Some(before) = before {
+        before.end().await?;
+    }
+    let (listen, rules, state) = (&listen, args.port.rules(), StateChoice::Durable(dir));
     let host = match &args.store {
         Some(place) => {
             let stands = (place, Duration::from_secs(args.lease));

@@ -27,6 +27,13 @@ pub enum HostError {
         dir: PathBuf,
         because: String,
     },
+    /// The process that uses the directory goes on; `help` says what to do.
+    NotTakenOver {
+        dir: PathBuf,
+        pid: String,
+        because: String,
+        help: String,
+    },
     Threads {
         because: String,
     },
@@ -75,6 +82,7 @@ impl HostError {
         match self {
             HostError::StateInUse { .. } | HostError::StateHeld { .. } => "STATE_IN_USE",
             HostError::StateUnwritable { .. } => "STATE_UNWRITABLE",
+            HostError::NotTakenOver { .. } => "NOT_TAKEN_OVER",
             HostError::Threads { .. } | HostError::Memory { .. } => "NO_RESOURCES",
             HostError::NoRuntime { .. } => "NO_RUNTIME",
             HostError::BadName { .. } => "BAD_NAME",
@@ -135,7 +143,7 @@ impl HostError {
                 "name the trocar program with HostBuilder::vet_with, or put it beside this one or in PATH"
                     .into()
             }
-            HostError::Listen { help, .. } => help.clone(),
+            HostError::Listen { help, .. } | HostError::NotTakenOver { help, .. } => help.clone(),
             HostError::NoGcm { addr, .. } => {
                 format!("start it first: `trocar gcm --listen {addr}`, or leave --gcm out: this host embeds one")
             }
@@ -160,6 +168,11 @@ impl fmt::Display for HostError {
             HostError::StateUnwritable { dir, because } => {
                 write!(f, "the state directory {} cannot be used: {because}", dir.display())
             }
+            HostError::NotTakenOver { dir, pid, because, .. } => write!(
+                f,
+                "process {pid} in the state directory {} is not taken over from: {because}",
+                dir.display()
+            ),
             HostError::Journal(e) => e.fmt(f),
             HostError::Threads { because } => write!(f, "the system gives no more threads: {because}"),
             HostError::Memory { mib, because } => {

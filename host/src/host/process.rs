@@ -20,6 +20,7 @@ use super::announce::Announcement;
 use super::candidacy::Candidacy;
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
+use super::state_dir::Kind;
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration, StartError};
@@ -213,7 +214,11 @@ impl Host {
             rules,
             runtime: Some(RuntimeDir::of_user()),
         })
-        .await
+        .await?;
+        if let Some(addr) = self.addr {
+            self.state.is_used_by(&Kind::Gcm(addr));
+        }
+        Ok(())
     }
 
     async fn bring_up_candidate(
@@ -229,6 +234,7 @@ impl Host {
         self.ending.running().server = Some(server);
         let begun = Candidacy::begin(seat, (place, addr.to_string(), ttl), (rules, runtime)).await?;
         self.ending.running().candidacy = Some(begun);
+        self.state.is_used_by(&Kind::Candidate);
         Ok(())
     }
 

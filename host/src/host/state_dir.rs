@@ -4,11 +4,13 @@
 //! lock ensures that; the kernel releases it when the process ends, however it ends. An ephemeral directory
 //! is gone after its process.
 
+use std::fmt;
 use std::fs::{self, DirBuilder, File};
 use std::io::{ErrorKind, Read, Seek, Write};
+use std::net::SocketAddr;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
-use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::os::unix::net::{SocketAddr as UnixAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -58,7 +60,7 @@ struct Hold {
     /// Keeps the locks from children: one that a plugin forks and leaves behind would keep the
     /// next process out.
     _unshared: [Option<Unshared>; 2],
-    _lock: File,
+    lock: File,
     _claim: Option<UnixDatagram>,
 }
 
@@ -164,7 +166,7 @@ impl StateDir {
                 let mut pid = String::new();
                 // An unreadable holder is still a holder.
                 let _ = file.read_to_string(&mut pid);
-                let (dir, pid) = (path.to_owned(), pid.trim().to_owned());
+                let (dir, pid) = (path.to_owned(), pid.lines().next().unwrap_or_default().to_owned());
                 return Err(Unopened::Refused(HostError::StateInUse { dir, pid }));
             }
             Err(fs::TryLockError::Error(e)) => return Err(unwritable(e)),
@@ -174,7 +176,7 @@ impl StateDir {
         // For people alone: on a full disk the lock holds without.
         let _ = writeln!(file, "{}", std::process::id());
         let unshared = [Some(unshared(&file)), claim.as_ref().map(unshared)];
-        let hold = Mutex::new(Some(Hold { _unshared: unshared, _lock: file, _claim: claim }));
+        let hold = Mutex::new(Some(Hold { _unshared: unshared, lock: file, _claim: claim }));
         let (path, goes) = (path.to_owned(), AtomicBool::new(ephemeral));
         Ok(Self { path, asked_for: None, _claim: None, ephemeral, made, goes, hold })
     }
@@ -182,6 +184,16 @@ impl StateDir {
     /// Takes back at the end what `open` made, for a process that does not come up after all.
     pub(super) fn undo(&self) {
         self.goes.fetch_or(self.made, Ordering::Relaxed);
+    }
+
+    /// Tells others what uses the directory.
+    pub(super) fn is_used_by(&self, kind: &Kind) {
+        if let Some(hold) = &*self.hold.lock() {
+            let mut lock = &hold.lock;
+            // On a full disk nobody can be told, and nobody takes over.
+            let _ = lock.set_len(0).and_then(|()| lock.rewind());
+            let _ = lock.write_all(format!("{}\n{kind}\n", std::process::id()).as_bytes());
+        }
     }
 
     /// Leaves the directory to others; removes an ephemeral one.
@@ -226,6 +238,52 @@ impl Drop for StateDir {
     }
 }
 
+/// What uses a directory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// A GCM without components, which listens there.
+    Gcm(SocketAddr),
+    /// One among several over etcd.
+    Candidate,
+    Other,
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Kind::Gcm(addr) => write!(f, "gcm {addr}"),
+            Kind::Candidate => f.write_str("candidate"),
+            Kind::Other => f.write_str("other"),
+        }
+    }
+}
+
+/// The process that uses a directory.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Holder {
+    pub(super) pid: u32,
+    pub(super) kind: Kind,
+}
+
+/// Returns the process that uses the directory, if one does and says so.
+pub(super) fn holder(dir: &Path) -> Option<Holder> {
+    let mut file = File::open(dir.join(LOCK)).ok()?;
+    // A lock that is not taken says nothing; one that was taken for this look goes with the file.
+    if !matches!(file.try_lock_shared(), Err(fs::TryLockError::WouldBlock)) {
+        return None;
+    }
+    let mut text = String::new();
+    file.read_to_string(&mut text).ok()?;
+    let mut lines = text.lines();
+    let pid = lines.next()?.parse().ok()?;
+    let kind = match lines.next().and_then(|line| line.split_once(' ').or(Some((line, "")))) {
+        Some(("gcm", addr)) => addr.parse().map_or(Kind::Other, Kind::Gcm),
+        Some(("candidate", _)) => Kind::Candidate,
+        _ => Kind::Other,
+    };
+    Some(Holder { pid, kind })
+}
+
 /// Takes the directory's name, as an abstract socket: `rm -rf` of a directory in use takes its lock file
 /// along, not this name. `None` where the system gives no such socket; then the lock file is all there is.
 fn claim(path: &Path) -> Result<Option<UnixDatagram>, HostError> {
@@ -233,7 +291,7 @@ fn claim(path: &Path) -> Result<Option<UnixDatagram>, HostError> {
         |e: std::io::Error| HostError::StateUnwritable { dir: path.to_owned(), because: e.to_string() };
     let whole = path.canonicalize().map_err(unwritable)?;
     let name = format!("trocar-state-{}", Hash::of(whole.as_os_str().as_encoded_bytes()));
-    match SocketAddr::from_abstract_name(name).and_then(|name| UnixDatagram::bind_addr(&name)) {
+    match UnixAddr::from_abstract_name(name).and_then(|name| UnixDatagram::bind_addr(&name)) {
         Ok(claim) => Ok(Some(claim)),
         Err(e) if e.kind() == ErrorKind::AddrInUse => Err(HostError::StateHeld { dir: path.to_owned() }),
         Err(_) => Ok(None),

@@ -18,6 +18,7 @@ pub use child::Program;
 pub use door::{Answer, Door};
 pub use exit::Exit;
 pub use keeper::keep_short;
+pub(crate) use offspring::is_kept;
 pub use policy::{Limits, Policy, Unheard};
 pub use status::{Phase, Status};
 pub use supervisor::Supervisor;

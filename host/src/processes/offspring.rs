@@ -16,6 +16,13 @@ const VARIABLE: &str = "TROCAR_KEPT";
 /// Looks for programs that were started while others were being killed.
 const LOOKS: usize = 16;
 
+/// Tells whether a process has a keeper, which starts it again.
+pub(crate) fn is_kept(pid: u32) -> bool {
+    let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
+    let names = |one: &[u8]| one.strip_prefix(VARIABLE.as_bytes()).is_some_and(|rest| rest.starts_with(b"="));
+    environment.split(|byte| *byte == 0).any(names)
+}
+
 /// A mark that no other child of this keeper or another has.
 #[derive(Clone, Debug)]
 pub(super) struct Mark(String);

@@ -323,14 +323,14 @@ fn step_fails(run: &Run, book: &mut Book, switched: &mut Switched) -> Result<(),
 }
 
 /// Samples from one process to another with which nothing is done.
-struct Flow {
+pub(super) struct Flow {
     ends: [(String, Value); 2],
     /// Pids and epochs.
     processes: Vec<(String, u32, u64)>,
 }
 
 impl Flow {
-    fn start(site: &Site, source: &str, sink: &str) -> Result<Flow, String> {
+    pub(super) fn start(site: &Site, source: &str, sink: &str) -> Result<Flow, String> {
         let rpc = &site.rpc;
         rpc.create(source, "fixture-torture/source", json!({}))?;
         rpc.create(sink, "fixture-torture/sink", json!({}))?;
@@ -353,7 +353,7 @@ impl Flow {
     }
 
     /// Nobody was started again, and nothing was missed.
-    fn tell(&self, book: &mut Book, site: &Site) -> Result<(), String> {
+    pub(super) fn tell(&self, book: &mut Book, site: &Site) -> Result<(), String> {
         let [(source, gave), (sink, took)] = &self.ends;
         let (gives, takes) = (site.rpc.row(source)?, site.rpc.row(sink)?);
         let is_same = gives["instance"] == gave["instance"]

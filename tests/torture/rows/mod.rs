@@ -17,6 +17,7 @@ mod racing;
 mod requests;
 mod scale;
 mod sizes;
+mod takeover;
 mod together;
 
 use crate::run::Row;
@@ -34,6 +35,7 @@ const GROUPS: &[&[Row]] = &[
     deciding::ROWS,
     requests::ROWS,
     together::ROWS,
+    takeover::ROWS,
     scale::ROWS,
     damage::ROWS,
     data::ROWS,
