@@ -17,11 +17,15 @@ use trocar_model::{
 };
 
 use super::answer::Executed;
-use super::changes::{HUNG, UNDO, id_of};
+use super::changes::{HUNG, UNDO, id_of, is_so};
 use super::claims::{Claim, Part, Planned};
 use super::lanes::parts;
 use super::observed::stand_by;
 use super::{Gcm, text};
+
+/// Most lanes of changes at a time: enough for waits to overlap, and few enough for a machine with two cores
+/// to go on beside it with what has to be in time.
+const SIDE_BY_SIDE: usize = 8;
 
 /// A change set being carried out.
 pub(super) struct Carrying<'a> {
@@ -52,11 +56,12 @@ impl<'a> Carrying<'a> {
         let (mut reports, mut refused) = (BTreeMap::new(), BTreeMap::new());
         for part in parts(changes) {
             let goes = AtomicBool::new(true);
-            let mut lanes: FuturesUnordered<_> =
-                part.into_iter().map(|lane| self.lane(changes, lane, &goes, deadline)).collect();
+            let mut waiting = part.into_iter().map(|lane| self.lane(changes, lane, &goes, deadline));
+            let mut lanes: FuturesUnordered<_> = waiting.by_ref().take(SIDE_BY_SIDE).collect();
             while let Some((made, refusal)) = lanes.next().await {
                 reports.extend(made);
                 refused.extend(refusal);
+                lanes.extend(waiting.next());
             }
             if !refused.is_empty() {
                 break;
@@ -284,15 +289,6 @@ impl<'a> Carrying<'a> {
 
 fn is_away(refusal: &Refusal) -> bool {
     matches!(refusal, Refusal::ProcessLost { .. } | Refusal::ProcessNotFound { .. })
-}
-
-/// Tells whether a change was refused because it is so already.
-fn is_so(change: &Change, refusal: &Refusal) -> bool {
-    match refusal {
-        Refusal::ComponentNotFound { .. } => matches!(change, Change::Destroy { .. }),
-        Refusal::ConnectionNotFound { .. } => matches!(change, Change::Disconnect { .. }),
-        _ => false,
-    }
 }
 
 impl Gcm {

@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use trocar_model::{Change, ComponentId};
+use trocar_model::{Change, ComponentId, Refusal};
 
 /// Time a rollback gets for each change, beyond the request's own deadline.
 pub(super) const UNDO: Duration = Duration::from_secs(2);
@@ -22,5 +22,14 @@ pub(crate) fn id_of(change: &Change) -> &ComponentId {
         Change::Connect { connection } | Change::Disconnect { connection, .. } => {
             &connection.client.component
         }
+    }
+}
+
+/// Tells whether a change was refused because it is so already.
+pub(crate) fn is_so(change: &Change, refusal: &Refusal) -> bool {
+    match refusal {
+        Refusal::ComponentNotFound { .. } => matches!(change, Change::Destroy { .. }),
+        Refusal::ConnectionNotFound { .. } => matches!(change, Change::Disconnect { .. }),
+        _ => false,
     }
 }

@@ -65,7 +65,7 @@ mod tests;
 pub use answer::{Answer, ExecuteOptions, Executed};
 pub use awaiting_event::Listening;
 pub(crate) use awaiting_state::given_ns;
-pub(crate) use changes::id_of;
+pub(crate) use changes::{id_of, is_so};
 pub use fate::{Fate, Told};
 pub use guests::{Guest, Joined, Requirement};
 pub(crate) use history::History;

@@ -21,7 +21,7 @@ use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 
 use crate::control::convert;
-use crate::gcm::{asked, id_of, observe};
+use crate::gcm::{asked, id_of, is_so, observe};
 use crate::lcm::{Invoke, Lcm, Lease, Order, Report};
 
 /// Longest time an order may take.
@@ -199,7 +199,16 @@ impl Local {
     ) -> Result<v1::ComponentReport, Refusal> {
         in_time(&change, &by)?;
         let lease = by.lease.clone();
-        let report = self.lcm.apply(change.clone(), by).await?;
+        let report = match self.lcm.apply(change.clone(), by).await {
+            Ok(report) => report,
+            Err(refusal) => {
+                // What was to go was gone: it is not brought along to the next GCM either.
+                if is_so(&change, &refusal) {
+                    self.told.lock().carry_out(&change);
+                }
+                return Err(refusal);
+            }
+        };
         let _busy = match busy {
             Some(busy) => busy,
             None => self.made(&change, &lease).await?,
