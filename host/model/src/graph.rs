@@ -48,7 +48,7 @@ pub enum ProcessState {
     Failed,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Process {
     /// One per incarnation of the process, never reused.
     pub epoch: u64,
@@ -76,7 +76,7 @@ pub struct Warnings {
     pub unfit: bool,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Component {
     pub class: Arc<ClassInfo>,
     /// The whole configuration (defaults filled in), as far as given; what is missing keeps the component in
@@ -91,6 +91,32 @@ pub struct Component {
     /// Reason of its FAULT, or what of it did not come back when its process was started again; empty
     /// otherwise.
     pub fault: String,
+}
+
+/// Tells whether both are the same, or as good as that: most are one and need no look.
+fn alike<T: PartialEq>(a: &Arc<T>, b: &Arc<T>) -> bool {
+    Arc::ptr_eq(a, b) || a == b
+}
+
+impl PartialEq for Process {
+    fn eq(&self, other: &Process) -> bool {
+        let Process { epoch, state, endpoint, pid, classes, last_exit, restarts, warnings, guest } = self;
+        (epoch, state, pid, restarts) == (&other.epoch, &other.state, &other.pid, &other.restarts)
+            && (endpoint, last_exit, guest) == (&other.endpoint, &other.last_exit, &other.guest)
+            && *warnings == other.warnings
+            && classes.len() == other.classes.len()
+            && classes.iter().zip(&other.classes).all(|(a, b)| alike(a, b))
+    }
+}
+
+impl PartialEq for Component {
+    fn eq(&self, other: &Component) -> bool {
+        let Component { class, config, execution, ports, state, health, fault } = self;
+        (state, health, fault) == (&other.state, &other.health, &other.fault)
+            && (config, execution) == (&other.config, &other.execution)
+            && alike(class, &other.class)
+            && alike(ports, &other.ports)
+    }
 }
 
 impl ProcessState {

@@ -1,18 +1,22 @@
-//! A sorted map whose copies share their values, and which knows what of it has changed.
+//! A sorted map whose copies share their rows, and which knows what of it has changed.
 //!
 //! Invariant: after [`Table::settle`] each row has the number of the state in which it was last different,
-//! and what settle tells is what a comparison of both states would tell. To copy a table copies keys and
-//! counts references; a value is copied when it is changed while another copy has it.
+//! and what settle tells is what a comparison of both states would tell. To copy a table costs the same
+//! however large it is; a change copies the rows around it, and a value while another copy has it.
 
 use std::borrow::Borrow;
-use std::collections::{BTreeMap, btree_map};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::{Index, RangeBounds};
 use std::sync::Arc;
 
+use imbl::OrdMap;
+use imbl::ordmap;
+use imbl::shared_ptr::DefaultSharedPtr;
+
 #[derive(Clone)]
 pub struct Table<K, V> {
-    rows: BTreeMap<K, Row<V>>,
+    rows: OrdMap<K, Row<V>>,
     /// Values before the first change since the last settle; `None`: there was no such row.
     before: BTreeMap<K, Option<Row<V>>>,
 }
@@ -31,7 +35,7 @@ impl<V> Clone for Row<V> {
 
 impl<K, V> Table<K, V> {
     pub fn new() -> Table<K, V> {
-        Table { rows: BTreeMap::new(), before: BTreeMap::new() }
+        Table { rows: OrdMap::new(), before: BTreeMap::new() }
     }
 
     pub fn len(&self) -> usize {
@@ -41,7 +45,9 @@ impl<K, V> Table<K, V> {
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
+}
 
+impl<K: Ord, V> Table<K, V> {
     /// In the order of the keys.
     pub fn iter(&self) -> Iter<'_, K, V> {
         Iter(self.rows.iter())
@@ -49,12 +55,12 @@ impl<K, V> Table<K, V> {
 
     /// Sorted.
     pub fn keys(&self) -> impl DoubleEndedIterator<Item = &K> + ExactSizeIterator + Clone {
-        self.rows.keys()
+        self.iter().map(|(key, _)| key)
     }
 
     /// In the order of the keys.
     pub fn values(&self) -> impl DoubleEndedIterator<Item = &V> + ExactSizeIterator + Clone {
-        self.rows.values().map(|row| &*row.value)
+        self.iter().map(|(_, value)| value)
     }
 
     /// Number of the state in which a row was last different, the greatest of all; 0: there is none.
@@ -113,26 +119,26 @@ impl<K: Ord + Clone, V: Clone> Table<K, V> {
 
     /// Takes a value out.
     pub fn remove(&mut self, key: &K) -> Option<Arc<V>> {
-        let (key, row) = self.rows.remove_entry(key)?;
+        let (key, row) = self.rows.remove_with_key(key)?;
         self.before.entry(key).or_insert_with(|| Some(row.clone()));
         Some(row.value)
     }
 
     /// Keeps the rows for which `keep` is true.
     pub fn retain(&mut self, mut keep: impl FnMut(&K, &V) -> bool) {
-        for (key, row) in self.rows.extract_if(.., |key, row| !keep(key, &row.value)) {
-            self.before.entry(key).or_insert(Some(row));
+        let goes = self.iter().filter(|(key, value)| !keep(key, value));
+        let gone: Vec<K> = goes.map(|(key, _)| key.clone()).collect();
+        for key in gone {
+            self.remove(&key);
         }
     }
 
     /// Changes the rows for which `concerns` is true.
     pub fn change(&mut self, concerns: impl Fn(&K, &V) -> bool, mut change: impl FnMut(&mut V)) {
-        let before = &mut self.before;
-        for (key, row) in self.rows.iter_mut().filter(|(key, row)| concerns(key, &row.value)) {
-            if !before.contains_key(key) {
-                before.insert(key.clone(), Some(row.clone()));
-            }
-            change(Arc::make_mut(&mut row.value));
+        let concerned = self.iter().filter(|(key, value)| concerns(key, value));
+        let keys: Vec<K> = concerned.map(|(key, _)| key.clone()).collect();
+        for key in keys {
+            self.get_mut(&key).into_iter().for_each(&mut change);
         }
     }
 
@@ -178,7 +184,7 @@ impl<V: PartialEq> Row<V> {
 }
 
 /// The rows of a table, in the order of the keys.
-pub struct Iter<'a, K, V>(btree_map::Iter<'a, K, Row<V>>);
+pub struct Iter<'a, K, V>(ordmap::Iter<'a, K, Row<V>, DefaultSharedPtr>);
 
 impl<K, V> Clone for Iter<'_, K, V> {
     fn clone(&self) -> Self {
@@ -186,7 +192,7 @@ impl<K, V> Clone for Iter<'_, K, V> {
     }
 }
 
-impl<'a, K, V> Iterator for Iter<'a, K, V> {
+impl<'a, K: Ord, V> Iterator for Iter<'a, K, V> {
     type Item = (&'a K, &'a V);
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -198,15 +204,15 @@ impl<'a, K, V> Iterator for Iter<'a, K, V> {
     }
 }
 
-impl<K, V> DoubleEndedIterator for Iter<'_, K, V> {
+impl<K: Ord, V> DoubleEndedIterator for Iter<'_, K, V> {
     fn next_back(&mut self) -> Option<Self::Item> {
         self.0.next_back().map(|(key, row)| (key, &*row.value))
     }
 }
 
-impl<K, V> ExactSizeIterator for Iter<'_, K, V> {}
+impl<K: Ord, V> ExactSizeIterator for Iter<'_, K, V> {}
 
-impl<'a, K, V> IntoIterator for &'a Table<K, V> {
+impl<'a, K: Ord, V> IntoIterator for &'a Table<K, V> {
     type Item = (&'a K, &'a V);
     type IntoIter = Iter<'a, K, V>;
 
@@ -238,7 +244,7 @@ impl<K, V> Default for Table<K, V> {
 }
 
 /// Compares the values; not what has changed.
-impl<K: PartialEq, V: PartialEq> PartialEq for Table<K, V> {
+impl<K: Ord, V: PartialEq> PartialEq for Table<K, V> {
     fn eq(&self, other: &Self) -> bool {
         self.rows.len() == other.rows.len()
             && self.rows.iter().zip(&other.rows).all(|((k, a), (l, b))| k == l && a.is_same(b))
@@ -253,7 +259,7 @@ impl<K: Ord + Clone, V: Clone> Index<&K> for Table<K, V> {
     }
 }
 
-impl<K: fmt::Debug, V: fmt::Debug> fmt::Debug for Table<K, V> {
+impl<K: Ord + fmt::Debug, V: fmt::Debug> fmt::Debug for Table<K, V> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_map().entries(self).finish()
     }

@@ -49,6 +49,8 @@ pub(super) struct Inner {
     pub(super) began_at: u64,
     /// Everything that was decided.
     pub(super) ledger: Ledger,
+    /// Held while a process is entered in the graph.
+    pub(super) takes_in: tokio::sync::Mutex<()>,
 }
 
 impl Gcm {
@@ -75,6 +77,7 @@ impl Gcm {
             lines: Arc::default(),
             began_at: wanted.revision,
             ledger: Ledger::new(ids.term(), wanted, bell, lead),
+            takes_in: tokio::sync::Mutex::default(),
             ids,
         };
         Gcm { inner: Arc::new(inner) }

@@ -3,6 +3,7 @@
 //! Invariant: after a report no connection of that component ends in a port it does not have or that does not
 //! fit any more; every connection that goes is logged and is a new revision.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use trocar_lcm_api::{Decision, Report, clock};
@@ -71,7 +72,7 @@ pub(crate) fn observe(graph: &mut SystemGraph, report: &Report) -> Vec<After> {
         graph.revision += 1;
     }
     if changed {
-        after.extend(loosen(graph, &report.id));
+        after.extend(loosen(graph, &BTreeSet::from([&report.id])));
     }
     after
 }
@@ -84,10 +85,10 @@ pub(super) fn stand_by(graph: &mut SystemGraph, id: &ComponentId, known: Option<
     }
 }
 
-/// Takes the connections of a component that do not fit any more out of the graph.
-pub(super) fn loosen(graph: &mut SystemGraph, id: &ComponentId) -> Vec<After> {
+/// Takes the connections of these components that do not fit any more out of the graph.
+pub(super) fn loosen(graph: &mut SystemGraph, ids: &BTreeSet<&ComponentId>) -> Vec<After> {
     let mut taken = Vec::new();
-    for (number, why) in graph.loose_ends(id) {
+    for (number, why) in graph.loose_ends(ids) {
         if let Some(connection) = graph.connections.remove(&number) {
             log::warn!("{}: {why}", cut(&connection));
             taken.push(After::cut(Arc::unwrap_or_clone(connection)));

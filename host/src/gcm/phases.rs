@@ -16,6 +16,8 @@ use super::Gcm;
 /// Time between two looks at what steps take, while samples pass between components of one grid; also the
 /// time until an LCM that did not answer is asked again.
 const LOOK: Duration = Duration::from_secs(1);
+/// Pause after a look, so that many changes in a row are looked at together.
+const PAUSE: Duration = Duration::from_millis(20);
 /// Rounds of giving phases in one look.
 const ROUNDS: usize = 4;
 /// Time an LCM has to answer.
@@ -60,6 +62,7 @@ impl Gcm {
                 if ended {
                     return;
                 }
+                tokio::time::sleep(PAUSE).await;
             }
         });
     }

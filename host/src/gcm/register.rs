@@ -58,6 +58,8 @@ impl Gcm {
             held.is_entered = true;
         }
         let mut taken = TakenIn::default();
+        // One after the other: a GCM that was started again has beats to give beside many that come at once.
+        let turn = self.inner.takes_in.lock().await;
         self.edit(|graph| {
             let mut sessions = self.inner.sessions.lock();
             // Its end was told, or it was replaced, while it was taken in.
@@ -65,6 +67,7 @@ impl Gcm {
                 taken = take_in(&mut sessions, graph, &who, &claimed, &word, inventory);
             }
         });
+        drop(turn);
         let back_word = if back { "is back" } else { "registered" };
         log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
         if taken.is_brought && who.guest.is_empty() {
@@ -309,7 +312,8 @@ fn take_in(
     taken.joined = settle(sessions, graph, who, &mut taken.strays, &mut taken.loose);
     // A component that is not configured yet does not have all its ports.
     if taken.gets_back.is_none() {
-        taken.loose.extend(inventory.components.iter().flat_map(|report| loosen(graph, &report.id)));
+        let has = inventory.components.iter().map(|report| &report.id).collect();
+        taken.loose.extend(loosen(graph, &has));
     }
     for half in inventory.halves {
         let key = (ConnectionId(half.connection), half.end);

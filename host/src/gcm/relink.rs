@@ -5,9 +5,7 @@
 use std::time::Duration;
 
 use trocar_lcm_api::{Decision, clock};
-use trocar_model::{
-    Connection, ConnectionId, End, Name, Plan, ProcessState, Proxy, Refusal, Request, SystemGraph,
-};
+use trocar_model::{Connection, End, Name, Plan, ProcessState, Proxy, Refusal, Request, SystemGraph};
 
 use super::Gcm;
 
@@ -72,12 +70,11 @@ fn is_missing(graph: &SystemGraph, connection: &Connection) -> bool {
     let attached =
         |process: &Name| graph.processes.get(process).is_some_and(|p| p.state == ProcessState::Attached);
     // An entry without a carrier only says why there is no half.
-    let is_half =
-        |((id, _), half): &(&(ConnectionId, End), &Proxy)| *id == connection.id && !half.carrier.is_empty();
-    let told = graph.proxies.iter().filter(is_half).count();
+    let has_half =
+        |end| graph.proxies.get(&(connection.id, end)).is_some_and(|half| !half.carrier.is_empty());
     graph.connections.contains_key(&connection.id)
         && !connection.is_near()
         && !graph.is_guests(&connection.client)
         && [&connection.client, &connection.server].iter().all(|end| attached(&end.component.process))
-        && told < 2
+        && !(has_half(End::Client) && has_half(End::Server))
 }

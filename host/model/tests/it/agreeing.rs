@@ -140,15 +140,15 @@ fn an_actuator_fed_by_a_grid_gets_an_age_of_three_periods_and_nobody_else_does()
 #[test]
 fn connections_that_no_longer_fit_are_found_with_the_reason() {
     let mut graph = theatre();
-    assert!(graph.loose_ends(&id("host/robot")).is_empty());
+    assert!(graph.loose_ends(&[&id("host/robot")].into()).is_empty());
     let robot = graph.components.get_mut(&id("host/robot")).unwrap();
     let mut ports = (*robot.ports).clone();
     ports.outputs[0].ty = PortType::Plain(force("mN"));
     ports.provided.retain(|p| p.name != "arm");
     robot.ports = Arc::new(ports);
-    let loose = graph.loose_ends(&id("host/robot"));
+    let loose = graph.loose_ends(&[&id("host/robot")].into());
     let reasons: Vec<(u64, &str)> = loose.iter().map(|(id, why)| (id.0, why.reason())).collect();
     assert_eq!(reasons, [(1, "INTERFACE_NOT_FOUND"), (2, "TYPE_MISMATCH")]);
-    let from_the_other_end = graph.loose_ends(&id("host/log"));
+    let from_the_other_end = graph.loose_ends(&[&id("host/log")].into());
     assert_eq!(from_the_other_end.len(), 1, "a connection is loose at both of its ends");
 }

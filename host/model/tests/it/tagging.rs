@@ -176,10 +176,10 @@ fn tell_the_truth(ports: &mut Ports) {
 #[test]
 fn a_port_that_gets_a_tag_while_it_is_connected_loses_what_the_tag_forbids_and_nothing_else() {
     let mut graph = led_by_a_measurement();
-    assert_eq!(graph.loose_ends(&id("host/sensor")), []);
+    assert_eq!(graph.loose_ends(&[&id("host/sensor")].into()), []);
     let sensor = graph.components.get_mut(&id("host/sensor")).unwrap();
     tell_the_truth(std::sync::Arc::make_mut(&mut sensor.ports));
-    let loose = graph.loose_ends(&id("host/sensor"));
+    let loose = graph.loose_ends(&[&id("host/sensor")].into());
     assert_eq!(loose.len(), 1, "{loose:?}");
     assert_eq!((loose[0].0, loose[0].1.reason()), (ConnectionId(1), "TRUTH_TO_ACTUATOR"), "{loose:?}");
 
@@ -189,7 +189,7 @@ fn a_port_that_gets_a_tag_while_it_is_connected_loses_what_the_tag_forbids_and_n
     for output in &mut std::sync::Arc::make_mut(&mut arm.ports).outputs {
         output.tag = Tag::None;
     }
-    let loose = graph.loose_ends(&id("host/arm"));
+    let loose = graph.loose_ends(&[&id("host/arm")].into());
     assert_eq!(loose.iter().map(|(_, why)| why.reason()).collect::<Vec<_>>(), ["TAG_MISMATCH"]);
 }
 
