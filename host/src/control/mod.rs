@@ -30,6 +30,7 @@ pub use caller::{PortRules, Tokened, Viewer};
 pub use dial::dial;
 pub use leader::{Leader, addresses, find_leader};
 pub use seat::Seat;
+pub(crate) use serve::JOURNAL;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
 pub use uplink::{Begin, Inbound, Line, Refused, Uplink, UplinkError, Way};

@@ -275,7 +275,7 @@ fn lines(gcm: Option<&Gcm>, local: Option<&(Name, Arc<dyn Lcm>)>) -> (Arc<Lines>
 }
 
 /// Name of the journal in gRPC health.
-const JOURNAL: &str = "journal";
+pub(crate) const JOURNAL: &str = "journal";
 
 /// Says over gRPC health whether what is decided is on record.
 async fn tell_journal(

@@ -50,7 +50,8 @@ impl<'a> Carrying<'a> {
     /// side by side.
     ///
     /// # Errors
-    /// The first refusal, in the order of the plan; then the changes that were done are taken back.
+    /// The first refusal, in the order of the plan, once what was begun beside it has ended; then the changes
+    /// that were done are taken back.
     pub(super) async fn all_or_nothing(&self, done: &mut Executed, deadline: Instant) -> Result<(), Refusal> {
         let changes = &done.plan.changes;
         let (mut reports, mut refused) = (BTreeMap::new(), BTreeMap::new());
@@ -71,6 +72,9 @@ impl<'a> Carrying<'a> {
             done.reports.extend(reports.into_values().flatten());
             return Ok(());
         };
+        for (at, other) in &refused {
+            log::warn!("{}, too: {other}", text::line(&changes[*at]));
+        }
         let made: Vec<Change> = reports.keys().map(|at: &usize| changes[*at].clone()).collect();
         self.undo(&made).await;
         Err(refusal)
@@ -155,15 +159,12 @@ impl<'a> Carrying<'a> {
     /// Ends the session of a process that has not taken a change back in time, though nothing hangs there: it
     /// comes again with what it has. False: that is no way out.
     fn sent_back(&self, undo: &Change, refusal: &Refusal) -> bool {
-        let process = match refusal {
-            Refusal::LcmTimeout { process, .. } => process,
-            Refusal::Busy { .. } => &id_of(undo).process,
-            _ => return false,
-        };
+        let Refusal::LcmTimeout { process, .. } = refusal else { return false };
         let graph = self.gcm.graph();
         let hangs = graph.components.get(id_of(undo)).is_some_and(|c| c.health == Health::Unresponsive);
-        // What moves is stopped in this session, the sooner the better.
-        if hangs || matches!(undo, Change::Run { from: State::Active, .. }) {
+        // What moves is stopped in this session, the sooner the better; what was to move again is held off
+        // by the Stop that follows the order. Requests of others there would be lost with the session.
+        if hangs || matches!(undo, Change::Run { .. }) || self.claim.is_beside_others(process) {
             return false;
         }
         let Some(session) = self.gcm.inner.sessions.lock().comes_again(process) else { return false };

@@ -317,6 +317,13 @@ impl Drop for Claim<'_> {
 }
 
 impl Claim<'_> {
+    /// Tells whether others have something of this process under way.
+    pub(super) fn is_beside_others(&self, process: &Name) -> bool {
+        let list = self.claims.list.lock();
+        let others = list.entries.iter().filter(|e| e.under_way && e.number != self.number);
+        others.flat_map(|e| &e.part.ids).any(|id| id.process == *process)
+    }
+
     pub(super) fn news(&self) -> watch::Receiver<()> {
         self.claims.news()
     }

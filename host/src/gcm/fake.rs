@@ -387,7 +387,7 @@ impl Lcm for FakeLcm {
         if let Change::Run { verb, to: State::Active, .. } = &change {
             let stops = self.stops.lock();
             let names = |stop: &Stop| stop.targets.iter().any(|target| target.names(&id));
-            if stops.iter().any(|(stop, decision)| names(stop) && *decision > order.decision) {
+            if stops.iter().any(|(stop, decision)| names(stop) && *decision >= order.decision) {
                 let state = states.get(&id).copied().unwrap_or(State::Created);
                 let why = "it was stopped while this was being carried out".to_owned();
                 return Err(Refusal::WrongState { id, state, verb: *verb, allowed: allowed(state), why });

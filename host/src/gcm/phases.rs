@@ -16,7 +16,7 @@ use super::Gcm;
 /// Time between two looks at what steps take, while samples pass between components of one grid; also the
 /// time until an LCM that did not answer is asked again.
 const LOOK: Duration = Duration::from_secs(1);
-/// Pause after a look, so that many changes in a row are looked at together.
+/// Pause before the next look, so that many changes in a row are looked at together.
 const PAUSE: Duration = Duration::from_millis(20);
 /// Rounds of giving phases in one look.
 const ROUNDS: usize = 4;

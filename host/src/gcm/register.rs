@@ -48,14 +48,13 @@ impl Gcm {
         let claimed = self.claim_name(&who, lcm.clone(), asks, inventory.card.clone())?;
         let Claimed { session, epoch, back, .. } = claimed;
         let word = self.word_of(&who, &claimed);
+        // Whoever asks for this may go meanwhile.
+        let mut held = Claiming { gcm: self, process: &who.process, session, is_entered: false };
         if who.guest.is_empty() {
             let incarnation = Incarnation { instance: who.instance, epoch };
             let came = self.enter(Entry::Came { process: who.process.clone(), incarnation });
-            // Before anything is made in it: the next GCM knows whom it has made that in. Whoever asks for
-            // this may go meanwhile.
-            let mut held = Claiming { gcm: self, process: &who.process, session, is_entered: false };
+            // Before anything is made in it: the next GCM knows whom it has made that in.
             self.inner.ledger.durable(came).await?;
-            held.is_entered = true;
         }
         let mut taken = TakenIn::default();
         // One after the other: a GCM that was started again has beats to give beside many that come at once.
@@ -68,6 +67,8 @@ impl Gcm {
             }
         });
         drop(turn);
+        held.is_entered = true;
+        drop(held);
         let back_word = if back { "is back" } else { "registered" };
         log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
         if taken.is_brought && who.guest.is_empty() {

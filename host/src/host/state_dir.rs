@@ -189,10 +189,10 @@ impl StateDir {
     /// Tells others what uses the directory.
     pub(super) fn is_used_by(&self, kind: &Kind) {
         if let Some(hold) = &*self.hold.lock() {
-            let mut lock = &hold.lock;
+            let (mut lock, text) = (&hold.lock, format!("{}\n{kind}\n", std::process::id()));
             // On a full disk nobody can be told, and nobody takes over.
-            let _ = lock.set_len(0).and_then(|()| lock.rewind());
-            let _ = lock.write_all(format!("{}\n{kind}\n", std::process::id()).as_bytes());
+            let written = lock.rewind().and_then(|()| lock.write_all(text.as_bytes()));
+            let _ = written.and_then(|()| lock.set_len(text.len() as u64));
         }
     }
 
@@ -261,11 +261,12 @@ impl fmt::Display for Kind {
 /// The process that uses a directory.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Holder {
+    /// As it sees itself; 0: it has not said yet.
     pub(super) pid: u32,
     pub(super) kind: Kind,
 }
 
-/// Returns the process that uses the directory, if one does and says so.
+/// Returns the process that uses the directory.
 pub(super) fn holder(dir: &Path) -> Option<Holder> {
     let mut file = File::open(dir.join(LOCK)).ok()?;
     // A lock that is not taken says nothing; one that was taken for this look goes with the file.
@@ -273,15 +274,25 @@ pub(super) fn holder(dir: &Path) -> Option<Holder> {
         return None;
     }
     let mut text = String::new();
-    file.read_to_string(&mut text).ok()?;
+    // What cannot be read has said nothing yet.
+    let _ = file.read_to_string(&mut text);
     let mut lines = text.lines();
-    let pid = lines.next()?.parse().ok()?;
+    let pid = lines.next().and_then(|line| line.parse().ok()).unwrap_or_default();
     let kind = match lines.next().and_then(|line| line.split_once(' ').or(Some((line, "")))) {
         Some(("gcm", addr)) => addr.parse().map_or(Kind::Other, Kind::Gcm),
         Some(("candidate", _)) => Kind::Candidate,
         _ => Kind::Other,
     };
     Some(Holder { pid, kind })
+}
+
+/// Tells whether a process of this number here is the one that uses the directory: in a container numbers are
+/// others.
+pub(super) fn is_held_by(dir: &Path, pid: u32) -> bool {
+    let Ok(lock) = fs::metadata(dir.join(LOCK)) else { return false };
+    let open = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+    let mut files = open.filter_map(|file| fs::metadata(file.path()).ok());
+    files.any(|file| (file.dev(), file.ino()) == (lock.dev(), lock.ino()))
 }
 
 /// Takes the directory's name, as an abstract socket: `rm -rf` of a directory in use takes its lock file

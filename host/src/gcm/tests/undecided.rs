@@ -130,12 +130,7 @@ async fn what_a_refused_request_had_taken_away_comes_back_when_its_process_is_st
 
 #[tokio::test]
 async fn what_a_process_did_not_take_back_in_time_is_made_up_for_when_it_comes_again() {
-    let undone = [
-        "Remove host/new",
-        "Create host/cam",
-        "Resume host/cam",
-        "Disconnect host/arm/input from host/cam/value",
-    ];
+    let undone = ["Remove host/new", "Create host/cam", "Disconnect host/arm/input from host/cam/value"];
     for undo in undone {
         let store = Kept::default();
         let (gcm, mut host) = running(&store).await;
@@ -146,7 +141,6 @@ async fn what_a_process_did_not_take_back_in_time_is_made_up_for_when_it_comes_a
         let first = match undo {
             "Remove host/new" => create("host/new"),
             "Create host/cam" => Request::Remove { id: id("host/cam"), force: true },
-            "Resume host/cam" => stop("host/cam"),
             _ => connect("host/arm/input", "host/cam/value"),
         };
         let asking = tokio::spawn({
