@@ -107,7 +107,8 @@ pub struct Stop {
 pub struct StoppedHere {
     /// Counts up with each of them; 0: there is none.
     pub number: u64,
-    pub targets: Vec<Target>,
+    /// Targets, each with the number of the last Stop that names it.
+    pub targets: Vec<(Target, u64)>,
 }
 
 /// A component that a Stop named.

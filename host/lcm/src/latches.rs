@@ -118,7 +118,7 @@ impl Latched {
 
     fn told(&self) -> StoppedHere {
         let open = self.latches.iter().filter(|(_, latch)| latch.here > 0);
-        let targets: Vec<Target> = open.map(|(target, _)| target.clone()).collect();
+        let targets: Vec<_> = open.map(|(target, latch)| (target.clone(), latch.here)).collect();
         StoppedHere { number: if targets.is_empty() { 0 } else { self.here }, targets }
     }
 }

@@ -212,6 +212,6 @@ impl SystemGraph {
             Some(ProcessState::Failed) => format!("process {process} is FAILED"),
             None => format!("process {process} is not there"),
         };
-        Proxy { process: process.clone(), epoch: 0, why, carrier: String::new() }
+        Proxy { process: process.clone(), epoch: 0, why, carrier: String::new(), peer: String::new() }
     }
 }

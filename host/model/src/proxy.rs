@@ -17,6 +17,8 @@ pub struct Proxy {
     pub why: String,
     /// Carrier of the data, "memfd".
     pub carrier: String,
+    /// Instance of the other process for which it was made, as its card says; empty where nobody told.
+    pub peer: String,
 }
 
 impl Proxy {

@@ -221,6 +221,13 @@ impl FakeLcm {
         self.unreachable.lock().insert(connect.into());
     }
 
+    /// Its halves were made for an earlier run of the other process.
+    pub(crate) fn halves_are_stale(&self) {
+        for half in self.halves.lock().values_mut() {
+            half.proxy.iter_mut().for_each(|proxy| proxy.peer = "an earlier run".into());
+        }
+    }
+
     /// "Configure host/a" makes these ports.
     pub(crate) fn ports_at(&self, change: &str, ports: Ports) {
         self.ports.lock().insert(change.into(), Arc::new(ports));
@@ -443,7 +450,7 @@ impl Lcm for FakeLcm {
     }
 
     async fn link(&self, end: trocar_lcm_api::RemoteEnd, deadline: Instant) -> Result<Report, Refusal> {
-        let connection = end.connection;
+        let (connection, card) = (end.connection, end.card);
         let here = |port: &trocar_model::PortId| port.component.process == self.process;
         let end = if here(&connection.client) { End::Client } else { End::Server };
         let number = connection.id.0;
@@ -453,8 +460,8 @@ impl Lcm for FakeLcm {
             return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
         }
         let done = self.apply(Change::Connect { connection }, deadline.into()).await?;
-        let proxy =
-            Proxy { process: self.process.clone(), epoch: 1, why: String::new(), carrier: "memfd".into() };
+        let (process, peer, carrier) = (self.process.clone(), card.instance, "memfd".into());
+        let proxy = Proxy { process, epoch: 1, why: String::new(), carrier, peer };
         let half = HalfReport { connection: number, end, proxy: Some(proxy) };
         self.halves.lock().insert(number, half.clone());
         let _ = self.news.send(News::Half(half));

@@ -65,6 +65,10 @@ pub(super) struct Ledger {
     standing: watch::Sender<Standing>,
     /// The store has refused records that wait since.
     refused: AtomicBool,
+    /// Nobody waits for the store, which refuses records or does not confirm them.
+    is_stuck: AtomicBool,
+    /// Number of the last record that was not waited for.
+    owed: AtomicU64,
     /// Present while there is a store.
     bell: Mutex<Option<Bell>>,
     /// True: nothing is written to the store any more.
@@ -123,6 +127,8 @@ impl Ledger {
             durable: watch::Sender::new(0),
             standing: watch::Sender::new(standing),
             refused: AtomicBool::new(false),
+            is_stuck: AtomicBool::new(false),
+            owed: AtomicU64::new(0),
             ended: watch::Sender::new(bell.is_none()),
             bell: Mutex::new(bell),
         }
@@ -250,20 +256,24 @@ impl Ledger {
     }
 
     async fn durable_or_behind(&self, record: u64) {
-        if *self.standing.borrow() != Standing::Written {
+        let (mut durable, mut standing) = (self.durable.subscribe(), self.standing.subscribe());
+        if *standing.borrow() == Standing::None {
             return;
         }
-        let (mut durable, mut standing) = (self.durable.subscribe(), self.standing.subscribe());
+        let is_stuck = |_: &Standing| self.is_stuck.load(Ordering::Relaxed);
         // The senders live as long as this.
         let seen = async {
             tokio::select! {
                 biased;
                 _ = durable.wait_for(|last| *last >= record) => {}
-                _ = standing.wait_for(|standing| matches!(standing, Standing::Behind { .. })) => {}
+                _ = standing.wait_for(is_stuck) => {}
             }
         };
         if tokio::time::timeout(PATIENCE, seen).await.is_err() {
             self.is_behind("the disk has not confirmed a record within 1 s".into());
+        }
+        if *self.durable.borrow() < record {
+            self.owed.fetch_max(record, Ordering::Relaxed);
         }
     }
 
@@ -299,9 +309,18 @@ impl Ledger {
             self.held.lock().dropped -= dropped;
         }
         self.refused.store(false, Ordering::Relaxed);
+        self.is_stuck.store(false, Ordering::Relaxed);
         self.revision.fetch_max(batch.revision, Ordering::Relaxed);
+        // First, since whoever has waited for a record may ask for something else at once.
+        self.keeps_up(batch.last);
         self.durable.send_replace(batch.last);
-        if self.bell.lock().is_some() {
+        // Somebody may have lost patience in between.
+        self.keeps_up(batch.last);
+    }
+
+    /// Says so where everything is durable that was answered.
+    fn keeps_up(&self, last: u64) {
+        if self.bell.lock().is_some() && self.owed.load(Ordering::Relaxed) <= last {
             self.stands(Standing::Written);
         }
     }
@@ -320,6 +339,7 @@ impl Ledger {
     }
 
     pub(super) fn is_behind(&self, why: String) {
+        self.is_stuck.store(true, Ordering::Relaxed);
         if self.stands(Standing::Behind { why: why.clone() }) {
             log::error!("the journal is behind: {why}; what is decided meanwhile is in memory alone");
         }
@@ -336,6 +356,7 @@ impl Ledger {
     /// Ends the way to the store; what waits is written first, if that can be done soon.
     pub(super) async fn close(&self) {
         if self.bell.lock().take().is_some() {
+            self.is_stuck.store(true, Ordering::Relaxed);
             self.stands(Standing::Behind { why: "it is closed, since this GCM ends".into() });
         }
         self.over().await;

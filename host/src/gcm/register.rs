@@ -10,7 +10,7 @@ use trocar_lcm_api::{Decision, Inventory, Lcm, Report};
 use trocar_links::Card;
 use trocar_model::{
     Change, Component, ComponentId, Connection, ConnectionId, Entry, Here, Incarnation, Name, Process,
-    ProcessState, Refusal, State, SystemGraph, WantedComponent,
+    ProcessState, Refusal, Safety, State, StopReason, SystemGraph, WantedComponent,
 };
 
 use super::Gcm;
@@ -22,6 +22,8 @@ use super::sessions::{Claimed, Registered, Registration, Sessions, Slice};
 
 /// Callers that may wait at once until the news of a process is entered.
 const ASKING: usize = 64;
+/// State of a component that a Stop has named.
+const STOPPED: State = State::Stopped(StopReason::Requested);
 /// No GCM has counted so much farther than the one after it.
 const AHEAD: u64 = 1 << 32;
 
@@ -73,6 +75,7 @@ impl Gcm {
         log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
         if taken.is_brought && who.guest.is_empty() {
             self.bring(&who.process, seen);
+            taken.owed.extend(self.stopped_before(&who.process, seen));
         }
         self.join_wires(taken.joined);
         self.cut_off(taken.loose);
@@ -141,9 +144,12 @@ impl Gcm {
             let graph = self.graph();
             let epoch = graph.processes.get(process).map_or(0, |process| process.epoch);
             let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
-            let as_wanted =
-                |component: &Component| WantedComponent::seen(component, graph.revision, decision.0, epoch);
-            let components: Vec<_> = mine.map(|(id, c)| (id.clone(), as_wanted(c))).collect();
+            let as_wanted = |id: &ComponentId, seen: &Component| {
+                let state = if self.is_stopped(id, seen, decision) { STOPPED } else { seen.state };
+                let component = Component { state, ..seen.clone() };
+                WantedComponent::seen(&component, graph.revision, decision.0, epoch)
+            };
+            let components: Vec<_> = mine.map(|(id, c)| (id.clone(), as_wanted(id, c))).collect();
             let wires =
                 graph.connections.values().filter(|c| c.ends_in(process) && !graph.is_guests(&c.client));
             let connections: Vec<_> = wires.cloned().collect();
@@ -155,6 +161,19 @@ impl Gcm {
                 false => (Entry::Brought { revision, process, components, connections }, None),
             }
         });
+    }
+
+    /// Tells whether a component is seen running that a Stop named after that decision: while its process was
+    /// not known here, or was taken in.
+    fn is_stopped(&self, id: &ComponentId, seen: &Component, decision: Decision) -> bool {
+        seen.state == State::Active && self.inner.claims.is_stopped_since(id, decision)
+    }
+
+    fn stopped_before(&self, process: &Name, decision: Decision) -> Vec<(ComponentId, State)> {
+        let graph = self.graph();
+        let mine = graph.components.iter().filter(|(id, _)| id.process == *process);
+        let stopped = mine.filter(|(id, component)| self.is_stopped(id, component, decision));
+        stopped.map(|(id, component)| (id.clone(), component.state)).collect()
     }
 
     /// Puts connections on record that two processes have brought along.
@@ -352,13 +371,13 @@ fn as_on_record(
 ) {
     // The process may be lost, and come back, in the middle of its restart.
     let goes_on = claimed.back && sessions.on_return.is_unfinished(&who.process);
-    let lacks = lacks(graph, &who.process, inventory);
+    let settled = granted.difference(under_way).cloned().collect();
+    let lacks = lacks(graph, &who.process, inventory, &settled);
     taken.differs = !under_way.is_empty() || differs(graph, who, inventory, granted);
     let may_run = |id: &ComponentId| granted.contains(id) || under_way.contains(id);
     let runs = inventory.components.iter().filter(|report| report.state == State::Active);
     let unasked = runs.filter(|report| !may_run(&report.id));
     let unasked: Vec<_> = unasked.map(|report| (report.id.clone(), report.state)).collect();
-    let settled = granted.difference(under_way).cloned().collect();
     taken.loose.extend(rests(graph, &settled, &inventory.components, !lacks && !goes_on));
     if goes_on || lacks {
         sessions.on_return.begin(&who.process);
@@ -375,14 +394,27 @@ fn as_on_record(
     }
 }
 
-/// Tells whether a process has not all that it is to have, or not whole.
-fn lacks(graph: &SystemGraph, process: &Name, inventory: &Inventory) -> bool {
-    let is_whole = |id: &ComponentId, wanted: State| {
+/// Tells whether a process has not all that it is to have, or not whole: what goes on by itself and is READY
+/// was made anew, and not started yet when its GCM ended.
+fn lacks(
+    graph: &SystemGraph,
+    process: &Name,
+    inventory: &Inventory,
+    granted: &BTreeSet<ComponentId>,
+) -> bool {
+    let goes_on = |id: &ComponentId, component: &Component| {
+        component.class.safety != Safety::Actuator && granted.contains(id)
+    };
+    let is_whole = |id: &ComponentId, component: &Component| {
         let has = inventory.components.iter().find(|report| report.id == *id);
-        has.is_some_and(|report| report.state != State::Created || wanted == State::Created)
+        has.is_some_and(|report| match report.state {
+            State::Created => component.state == State::Created,
+            State::Ready => component.state != State::Active || !goes_on(id, component),
+            _ => true,
+        })
     };
     let mut mine = graph.components.iter().filter(|(id, _)| id.process == *process);
-    mine.any(|(id, component)| !is_whole(id, component.state))
+    mine.any(|(id, component)| !is_whole(id, component))
 }
 
 /// Enters the parts a process has already of those it gets back; the rest stays listed as lost.

@@ -100,6 +100,12 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
+    /// Tells whether a component is of the class that it is to be of: its plugin may be another one since.
+    fn is_of_its_class(&self, id: &ComponentId) -> bool {
+        let class = self.graph().components.get(id).map(|component| component.class.clone());
+        class == self.inner.ledger.wanted().components.get(id).map(|component| component.class.clone())
+    }
+
     /// Puts on record what was made again: of which classes it is, and by which grants it runs.
     fn made_again(&self, made: &mut Vec<Change>, back: &Back) {
         let made = std::mem::take(made);
@@ -136,9 +142,13 @@ impl Gcm {
     ) -> Option<Away> {
         let (process, session, mut away) = (&back.process, back.session, Away::default());
         self.skipped(plan, here, &mut away);
+        let mut to_start: BTreeSet<&ComponentId> = plan.changes.iter().filter_map(started).collect();
         for change in &plan.changes {
             if !self.hears(process, session) {
                 return None;
+            }
+            if let Some(id) = started(change) {
+                to_start.remove(id);
             }
             // The change is made when that process has its components again.
             if self.awaits(change, process) || self.is_idle(change, &mut away) {
@@ -160,9 +170,17 @@ impl Gcm {
             match done {
                 Ok(_) => {
                     made_again.push(change.clone());
-                    // One that is made and not configured yet is no more than what was wanted before.
+                    // One that is made and not configured yet, or is to run and does not yet, is no more than
+                    // what was wanted before: the next GCM goes on from there.
                     if !matches!(change, Change::Create { .. }) {
-                        self.made_again(made_again, back);
+                        let (waits, mut now): (Vec<_>, Vec<_>) =
+                            std::mem::take(made_again).into_iter().partition(|change| {
+                                is_made(change)
+                                    && to_start.contains(id_of(change))
+                                    && self.is_of_its_class(id_of(change))
+                            });
+                        *made_again = waits;
+                        self.made_again(&mut now, back);
                     }
                 }
                 Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,
@@ -345,4 +363,16 @@ impl Gcm {
             });
         }
     }
+}
+
+/// The component that a change sets in motion.
+fn started(change: &Change) -> Option<&ComponentId> {
+    match change {
+        Change::Run { id, to: State::Active, .. } => Some(id),
+        _ => None,
+    }
+}
+
+fn is_made(change: &Change) -> bool {
+    matches!(change, Change::Create { .. } | Change::Configure { .. })
 }

@@ -240,12 +240,13 @@ impl Sessions {
         self.entered.insert(process.clone());
     }
 
-    /// Takes a Stop at the process itself to be answered; false: it was.
-    pub(super) fn answers_here(&mut self, process: &Name, number: u64) -> bool {
-        let Some(session) = self.live.get_mut(process) else { return false };
-        let is_new = number > session.stopped_here;
-        session.stopped_here = number.max(session.stopped_here);
-        is_new
+    /// Takes the Stops at the process itself up to that number to be answered; returns that of the last one
+    /// that was.
+    pub(super) fn answers_here(&mut self, process: &Name, number: u64) -> u64 {
+        let Some(session) = self.live.get_mut(process) else { return u64::MAX };
+        let answered = session.stopped_here;
+        session.stopped_here = number.max(answered);
+        answered
     }
 
     /// The session of a process that is heard.

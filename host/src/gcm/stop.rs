@@ -81,7 +81,7 @@ impl Gcm {
         let mut answer = None;
         let record = self.stop_on_record(&halting, stopped && !counted, |revision| {
             done.revision = revision;
-            let refused = done.failed.first().map(|(_, refusal)| refusal.clone());
+            let refused = worst(&done.failed).cloned();
             let told = match refused.filter(|_| done.reports.is_empty() && done.plan.skipped.is_empty()) {
                 Some(refusal) => Err(refusal),
                 None => Ok(std::mem::take(&mut done)),
@@ -380,11 +380,15 @@ impl Gcm {
     /// Makes a Stop that a process was asked for itself one of this GCM's: what it names stays stopped, and
     /// what is decided from now on may set it in motion again. Not waited for.
     pub(super) fn heard_stop(&self, process: &Name, told: StoppedHere) {
+        let (session, answered) = {
+            let mut sessions = self.inner.sessions.lock();
+            (sessions.holder(process), sessions.answers_here(process, told.number))
+        };
+        // Each is answered once, however often it is told: what was started since stays.
+        let new = told.targets.iter().filter(|(_, number)| *number > answered);
         // A process speaks for its own components.
-        let targets: Vec<Target> = told.targets.iter().filter_map(|target| target.within(process)).collect();
-        let session = self.inner.sessions.lock().holder(process);
-        // Told by its news and by its inventory, it is answered once.
-        if targets.is_empty() || !self.inner.sessions.lock().answers_here(process, told.number) {
+        let targets: Vec<Target> = new.filter_map(|(target, _)| target.within(process)).collect();
+        if targets.is_empty() {
             return;
         }
         let names = targets.iter().map(|target| format!("\"{target}\"")).collect::<Vec<_>>().join(",");
@@ -418,6 +422,19 @@ impl Gcm {
             }
         });
     }
+}
+
+/// The refusal to answer with where nothing was stopped: that of a component that may move, if there is one.
+pub(super) fn worst(failed: &[(Target, Refusal)]) -> Option<&Refusal> {
+    let is_not_there = |refusal: &Refusal| {
+        matches!(
+            refusal,
+            Refusal::ComponentNotFound { .. }
+                | Refusal::ProcessNotFound { .. }
+                | Refusal::NothingMatches { .. }
+        )
+    };
+    failed.iter().map(|(_, refusal)| refusal).min_by_key(|refusal| is_not_there(refusal))
 }
 
 impl Halting {

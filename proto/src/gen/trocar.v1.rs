@@ -5024,6 +5024,9 @@ pub struct StoppedHere {
     /// The components: process/component, or a pattern.
     #[prost(string, repeated, tag = "2")]
     pub paths: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// The number of the last Stop that names each path.
+    #[prost(uint64, repeated, tag = "3")]
+    pub numbers: ::prost::alloc::vec::Vec<u64>,
 }
 /// Status of the half of a connection to another process.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -5037,6 +5040,10 @@ pub struct ProxyNews {
     /// The half; absent = it is gone.
     #[prost(message, optional, tag = "3")]
     pub proxy: ::core::option::Option<Proxy>,
+    /// Instance of the other process for which it was made, as its card says. Where that process runs anew,
+    /// the half leads nowhere.
+    #[prost(string, tag = "4")]
+    pub peer: ::prost::alloc::string::String,
 }
 /// The desired components and connections of one process.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -235,7 +235,7 @@ fn accepted(world: &World, asked: &Asked, done: &Executed) {
             Change::Configure { id, to, .. } if seen.insert(id) => {
                 truth.left(id, asked.first(), done.revision, to["gain"].as_f64());
             }
-            Change::Run { id, to: State::Active, .. } => truth.started(id, asked.first()),
+            Change::Run { id, to: State::Active, .. } => truth.started(id, asked.first(), asked.is_first()),
             Change::Connect { connection } => truth.connected(connection, asked.first()),
             _ => {}
         }

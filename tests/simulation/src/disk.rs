@@ -86,6 +86,11 @@ impl Disk {
         }
     }
 
+    /// Tells whether a commit has killed the manager, which does not know it yet.
+    pub(crate) fn has_killed(&self) -> bool {
+        matches!(self.content.lock().struck, Some(Struck::Killed { .. }))
+    }
+
     /// Returns a store for the next manager; the one before writes nothing any more.
     pub(crate) fn opened(&self) -> Opened {
         let mut content = self.content.lock();
@@ -141,7 +146,7 @@ impl Opened {
         let is_behind = content.standing.as_ref().is_some_and(|now| *now.borrow() != Standing::Written);
         match failure {
             None => write(&mut content),
-            // Whoever waits for it comes to no turn before the end.
+            // Nobody hears what the manager says from here on.
             Some(Failure::KilledBefore) => {
                 content.owner += 1;
                 strike(&mut content, Struck::Killed { is_behind });

@@ -59,8 +59,19 @@ impl GoesOn {
     }
 
     /// An accepted request, asked at that event, has set a component in motion. Returns what is wrong.
-    pub(super) fn started(&mut self, id: &ComponentId, asked: u64, moves: bool) -> Option<String> {
+    /// `is_first`: this is no answer that was given before.
+    pub(super) fn started(
+        &mut self,
+        id: &ComponentId,
+        (asked, is_first): (u64, bool),
+        moves: bool,
+    ) -> Option<String> {
         if asked < self.rested {
+            return None;
+        }
+        let may_rest = self.own.get(id).is_some_and(|at| *at > asked) || self.may_rest(id, asked);
+        // It may move by another request since an answer that was given before.
+        if may_rest && !(moves && is_first) {
             return None;
         }
         if moves {
@@ -68,10 +79,7 @@ impl GoesOn {
             *since = asked.max(*since);
             return None;
         }
-        let by_itself = self.own.get(id).is_some_and(|at| *at > asked);
-        let is_wrong = !by_itself && !self.may_rest(id, asked);
-        is_wrong
-            .then(|| format!("{id} was started by the request of event {asked}, and nobody has stopped it"))
+        Some(format!("{id} was started by the request of event {asked}, and nobody has stopped it"))
     }
 
     /// A component that goes on by itself in a new incarnation.
@@ -98,6 +106,12 @@ impl GoesOn {
             }
             _ => None,
         }
+    }
+
+    /// A component has failed that did not move.
+    pub(super) fn failed(&mut self, id: &ComponentId, now: u64) {
+        self.own.insert(id.clone(), now);
+        self.again.remove(id);
     }
 
     /// A component has refused something.

@@ -11,6 +11,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
+use futures_util::future::join_all;
 use parking_lot::Mutex;
 use tokio::sync::{OwnedMutexGuard, broadcast, mpsc, watch};
 use trocar::gcm::plan_lines;
@@ -293,6 +294,7 @@ impl ModelLcm {
             return Err(self.refused(id.clone(), "start"));
         }
         if moves && self.chance.once_in(FAILS) {
+            self.truth.failed(id);
             let report = self.becomes(id, State::Fault, "start: the cable is out")?;
             self.tell(report);
             return Err(Refusal::ComponentFault { id: id.clone(), text: "the cable is out".into() });
@@ -382,10 +384,10 @@ impl ModelLcm {
         report
     }
 
-    fn half(&self, number: u64, end: End) -> HalfReport {
-        let (process, carrier) = (self.name.clone(), "memfd".into());
-        let proxy = Proxy { process, epoch: self.number, why: String::new(), carrier };
-        HalfReport { connection: number, end, proxy: Some(proxy) }
+    fn half(&self, number: u64, half: &Half) -> HalfReport {
+        let (process, carrier, peer) = (self.name.clone(), "memfd".into(), half.peer.clone());
+        let proxy = Proxy { process, epoch: self.number, why: String::new(), carrier, peer };
+        HalfReport { connection: number, end: half.end, proxy: Some(proxy) }
     }
 
     /// Stops a component that a Stop names, unless somebody has started it who knew of that Stop.
@@ -467,21 +469,22 @@ impl Lcm for ModelLcm {
             let named = |id: &ComponentId| stop.targets.iter().any(|target| target.names(id));
             has.components.iter().filter(|(id, _)| named(id)).map(|(id, c)| (id.clone(), c.state)).collect()
         };
-        let mut halted = Vec::new();
         // First all that move stand still.
         let mut stopped = Vec::new();
         for (id, was) in named {
             let moves = was == State::Active;
             stopped.push((self.halt(&id, order.decision), id, was, moves));
         }
-        for (first, id, was, moves) in stopped {
+        // Side by side: one that is waited for keeps no other from being started again.
+        let resting = stopped.into_iter().map(async |(first, id, was, moves)| {
             // A start under way takes itself back, and is waited for.
             let done = match first {
                 Ok(report) if moves => Ok(report),
                 _ => self.rests(&id, order.decision, order.deadline).await,
             };
-            halted.push(Halted { id, was, done });
-        }
+            Halted { id, was, done }
+        });
+        let halted = join_all(resting).await;
         self.is_alive()?;
         Ok(halted)
     }
@@ -498,7 +501,11 @@ impl Lcm for ModelLcm {
         let by = Order::from(deadline);
         let worked = tokio::select! {
             biased;
-            _ = made.changed() => return Err(gone()),
+            _ = made.changed() => {
+                // It was told to give it up, unless it has ended.
+                self.is_alive()?;
+                return Err(gone());
+            }
             worked = self.works(&by) => worked,
         };
         self.has.lock().linking.remove(&connection.id.0);
@@ -509,13 +516,14 @@ impl Lcm for ModelLcm {
             return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
         }
         let number = connection.id.0;
-        let report = {
+        let (half, report) = {
             let mut has = self.has.lock();
             let report = has.report(&connection.port(end).component)?;
-            has.halves.insert(number, Half { connection, end, peer });
-            report
+            let half = Half { connection, end, peer };
+            has.halves.insert(number, half.clone());
+            (half, report)
         };
-        let _ = self.news.send(News::Half(self.half(number, end)));
+        let _ = self.news.send(News::Half(self.half(number, &half)));
         Ok(report)
     }
 
@@ -560,7 +568,7 @@ impl Lcm for ModelLcm {
             card: Some(card),
             components,
             classes: self.classes.clone(),
-            halves: has.halves.iter().map(|(number, half)| self.half(*number, half.end)).collect(),
+            halves: has.halves.iter().map(|(number, half)| self.half(*number, half)).collect(),
             warnings: Warnings::default(),
             decision: self.latches.seen(),
             stopped_here: self.latches.stopped_here(),

@@ -193,13 +193,13 @@ impl Truth {
     }
 
     /// A component was set in motion by an accepted request, asked at that event.
-    pub(crate) fn started(&self, id: &ComponentId, asked: u64) {
+    pub(crate) fn started(&self, id: &ComponentId, asked: u64, is_first: bool) {
         let mut happened = self.0.lock();
         if happened.is_blind {
             return;
         }
         let moves = happened.moving.contains(id);
-        if let Some(wrong) = happened.goes_on.started(id, asked, moves) {
+        if let Some(wrong) = happened.goes_on.started(id, (asked, is_first), moves) {
             happened.violated(wrong);
         }
     }
@@ -210,6 +210,13 @@ impl Truth {
         if !happened.is_blind {
             happened.goes_on.connected(connection, asked);
         }
+    }
+
+    /// A component has failed when it was to be set in motion.
+    pub(crate) fn failed(&self, id: &ComponentId) {
+        let mut happened = self.0.lock();
+        let now = happened.events;
+        happened.goes_on.failed(id, now);
     }
 
     /// A component has refused something, and stays so until somebody asks again.

@@ -47,6 +47,8 @@ pub(crate) struct World {
     incarnations: Mutex<u64>,
     /// Managers so far. Terms do not tell them apart: one that was killed at once has left nothing behind.
     managers: Mutex<u64>,
+    /// Terms of the managers that were killed in the middle of a commit.
+    killed: Mutex<BTreeSet<u64>>,
     is_to_rest: watch::Sender<bool>,
     pace: Pace,
     /// The last requests with an id, which may be asked again.
@@ -108,6 +110,7 @@ impl World {
             processes: Mutex::default(),
             incarnations: Mutex::default(),
             managers: Mutex::default(),
+            killed: Mutex::default(),
             is_to_rest: watch::Sender::new(false),
             pace: Pace::of(&chance),
             repeated: Mutex::default(),
@@ -175,11 +178,12 @@ impl World {
     }
 
     /// Tells whether this manager is gone with decisions that were in memory alone, also some that it has
-    /// just answered.
+    /// just answered, or was killed before it could say so.
     pub(crate) fn has_lost(&self, gcm: &Gcm) -> bool {
         let manager = self.manager.lock();
         let is_there = manager.as_ref().is_some_and(|manager| manager.gcm.term() == gcm.term());
-        !is_there && *gcm.journal().borrow() != Standing::Written
+        let is_killed = is_there && self.disk.has_killed() || self.killed.lock().contains(&gcm.term());
+        is_killed || !is_there && *gcm.journal().borrow() != Standing::Written
     }
 
     /// Tells whether processes may not know yet how late the messages of the manager are: it has just begun,
@@ -203,8 +207,11 @@ impl World {
             if struck == Some(Struck::Broken) {
                 self.waits((0, 10_000)).await;
             }
-            if struck == Some(Struck::Killed { is_behind: true }) {
-                self.truth.forgets();
+            if let Some(Struck::Killed { is_behind }) = struck {
+                self.killed.lock().extend(self.gcm().map(|(gcm, _)| gcm.term()));
+                if is_behind {
+                    self.truth.forgets();
+                }
             }
             if struck.is_some() || !self.is_to_rest() && self.chance.once_in(2) {
                 self.ends();

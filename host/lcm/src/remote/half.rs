@@ -272,7 +272,9 @@ impl Half {
     pub(super) fn stands_as(&self, told: &HalfReport) -> bool {
         let stage = self.stage();
         let epoch = stage.linked.as_ref().map_or(0, |linked| linked.epoch);
-        told.proxy.as_ref().is_some_and(|p| p.epoch == epoch && (epoch > 0 || p.why == stage.why))
+        told.proxy.as_ref().is_some_and(|p| {
+            p.peer == self.card.instance && p.epoch == epoch && (epoch > 0 || p.why == stage.why)
+        })
     }
 
     /// Reports the state of the half; `unsaid` gives the reason why it is not linked, where no other is
@@ -290,7 +292,8 @@ impl Half {
             _ => String::new(),
         };
         let process = port.component.process.clone();
-        let proxy = Some(Proxy { process, epoch, why, carrier: CARRIER.into() });
+        let peer = self.card.instance.clone();
+        let proxy = Some(Proxy { process, epoch, why, carrier: CARRIER.into(), peer });
         HalfReport { connection: self.number(), end, proxy }
     }
 

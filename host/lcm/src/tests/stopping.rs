@@ -151,7 +151,9 @@ async fn a_stop_at_the_process_holds_until_the_gcm_has_answered_it() {
     };
     assert_eq!(world.lcm.inventory().await.unwrap().stopped_here, told, "a GCM that comes later hears of it");
     held_off(world.start_by("arm", 9).await, "the GCM does not know it yet");
-    let answer = Stop { targets: told.targets, known_here: told.number };
+    let (targets, numbers): (Vec<_>, Vec<_>) = told.targets.into_iter().unzip();
+    assert_eq!(numbers, [told.number]);
+    let answer = Stop { targets, known_here: told.number };
     world.lcm.stop(answer, order(10)).await.unwrap();
     held_off(world.start_by("arm", 9).await, "stopped while this was being carried out");
     world.start_by("arm", 11).await.unwrap();

@@ -45,7 +45,13 @@ fn a_half_nobody_told_of_says_why_and_one_inside_a_process_does_not_exist() {
     let mut graph = theatre();
     done(&mut graph, &[create("gui/log", "logger"), connect("gui/log/force", "host/robot/force")]);
     let far = graph.source_of(&port("gui/log/force")).unwrap().clone();
-    let told = Proxy { process: name("gui"), epoch: 7, why: String::new(), carrier: "memfd".into() };
+    let told = Proxy {
+        process: name("gui"),
+        epoch: 7,
+        why: String::new(),
+        carrier: "memfd".into(),
+        peer: String::new(),
+    };
     graph.proxies.insert((far.id, End::Client), told.clone());
     let why = |graph: &SystemGraph| {
         let [(End::Client, client), (End::Server, server)] = &graph.proxies_of(&far)[..] else {

@@ -50,7 +50,8 @@ fn carry_out(graph: &mut SystemGraph, edit: Edit) {
         Edit::Half(at, end, is_there) => {
             let Some(connection) = graph.connections.values().nth(at).cloned() else { return };
             let process = connection.port(end).component.process.clone();
-            let told = Proxy { process, epoch: 7, why: String::new(), carrier: "memfd".into() };
+            let told =
+                Proxy { process, epoch: 7, why: String::new(), carrier: "memfd".into(), peer: String::new() };
             match is_there {
                 true => graph.proxies.insert((connection.id, end), told),
                 false => _ = graph.proxies.remove(&(connection.id, end)),

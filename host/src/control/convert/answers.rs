@@ -326,17 +326,20 @@ pub(crate) fn proxy(end: End, p: &Proxy) -> v1::Proxy {
 
 fn proxy_in(p: v1::Proxy) -> Result<(End, Proxy), Refusal> {
     let process = Name::parse(&p.process)?;
-    Ok((end_in(p.end)?, Proxy { process, epoch: p.epoch, why: p.why_not, carrier: p.carrier }))
+    let (why, peer) = (p.why_not, String::new());
+    Ok((end_in(p.end)?, Proxy { process, epoch: p.epoch, why, carrier: p.carrier, peer }))
 }
 
 pub(crate) fn half(half: &HalfReport) -> v1::ProxyNews {
     let HalfReport { connection, end, proxy: now } = half;
+    let peer = now.as_ref().map(|now| now.peer.clone()).unwrap_or_default();
     let now = now.as_ref().map(|now| proxy(*end, now));
-    v1::ProxyNews { connection: *connection, end: end_out(*end), proxy: now }
+    v1::ProxyNews { connection: *connection, end: end_out(*end), proxy: now, peer }
 }
 
 pub(crate) fn half_in(half: v1::ProxyNews) -> Result<HalfReport, Refusal> {
-    let proxy = half.proxy.map(proxy_in).transpose()?.map(|(_, proxy)| proxy);
+    let peer = half.peer;
+    let proxy = half.proxy.map(proxy_in).transpose()?.map(|(_, proxy)| Proxy { peer, ..proxy });
     Ok(HalfReport { connection: half.connection, end: end_in(half.end)?, proxy })
 }
 

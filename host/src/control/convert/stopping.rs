@@ -42,11 +42,17 @@ pub(crate) fn halted_in(halted: v1::Halted) -> Result<Vec<Halted>, Refusal> {
 }
 
 pub(crate) fn stopped_here_out(stopped: &StoppedHere) -> v1::StoppedHere {
-    v1::StoppedHere { number: stopped.number, paths: paths(&stopped.targets) }
+    let (targets, numbers): (Vec<_>, Vec<_>) = stopped.targets.iter().cloned().unzip();
+    v1::StoppedHere { number: stopped.number, paths: paths(&targets), numbers }
 }
 
 pub(crate) fn stopped_here_in(stopped: v1::StoppedHere) -> Result<StoppedHere, Refusal> {
-    Ok(StoppedHere { number: stopped.number, targets: targets(&stopped.paths)? })
+    // The number of the last Stop stands for those that are missing.
+    let numbers = stopped.numbers.into_iter().chain(std::iter::repeat(stopped.number));
+    Ok(StoppedHere {
+        number: stopped.number,
+        targets: targets(&stopped.paths)?.into_iter().zip(numbers).collect(),
+    })
 }
 
 /// # Errors
@@ -80,8 +86,10 @@ mod tests {
             known_here: 3,
         };
         assert_eq!(stop_in(stop_out(&stop)).unwrap(), stop);
-        let told = StoppedHere { number: 4, targets: stop.targets };
+        let told = StoppedHere { number: 4, targets: stop.targets.into_iter().zip([4, 2, 3]).collect() };
         assert_eq!(stopped_here_in(stopped_here_out(&told)).unwrap(), told);
+        let untold = v1::StoppedHere { numbers: vec![4], ..stopped_here_out(&told) };
+        assert!(stopped_here_in(untold).unwrap().targets.iter().all(|(_, number)| *number == 4));
         let report = Report {
             id: id.clone(),
             number: 9,

@@ -204,7 +204,9 @@ impl Local {
             Err(refusal) => {
                 // What was to go was gone: it is not brought along to the next GCM either.
                 if is_so(&change, &refusal) {
-                    self.told.lock().carry_out(&change);
+                    let mut told = self.told.lock();
+                    told.carry_out(&change);
+                    goes_with(&mut told, &change);
                 }
                 return Err(refusal);
             }
@@ -267,9 +269,16 @@ impl Local {
 
     fn remember(&self, change: Change, report: &Report) {
         let mut told = self.told.lock();
+        goes_with(&mut told, &change);
         told.apply(&Plan { changes: vec![change], skipped: Vec::new() });
         observe(&mut told, report);
     }
+}
+
+/// Takes out what goes with a component: connections that were made while its removal was awaited.
+fn goes_with(told: &mut SystemGraph, change: &Change) {
+    let Change::Destroy { id, .. } = change else { return };
+    told.connections.retain(|_, c| c.client.component != *id && c.server.component != *id);
 }
 
 /// Refuses what nobody waits for any more.

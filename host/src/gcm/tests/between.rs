@@ -100,6 +100,21 @@ async fn a_half_whose_other_process_is_taken_down_is_cut() {
 }
 
 #[tokio::test]
+async fn a_half_made_for_an_earlier_run_of_the_other_process_is_made_anew() {
+    let (before, lcms, whos, _) = connected().await;
+    let graph = before.graph();
+    // The GCM was killed when the server had its half again, and the client had not.
+    lcms[1].halves_are_stale();
+    let gcm = Gcm::start(GcmConfig::default()).await.unwrap();
+    for (who, lcm) in whos.iter().zip(&lcms) {
+        register(&gcm, brings(&graph, who), lcm.clone()).await.unwrap();
+    }
+    let is_stale = |graph: &SystemGraph| graph.proxies.values().any(|half| half.peer == "an earlier run");
+    until(&gcm, "both have halves for each other", |g| g.proxies.len() == 2 && !is_stale(g)).await;
+    assert_eq!(gcm.graph().connections, graph.connections);
+}
+
+#[tokio::test]
 async fn what_was_disconnected_while_a_process_was_away_stays_disconnected() {
     let (gcm, lcms, whos, sessions) = connected().await;
     let brought = brings(&gcm.graph(), &whos[0]);

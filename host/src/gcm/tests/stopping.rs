@@ -4,6 +4,7 @@ use trocar_lcm_api::{News, StoppedHere};
 
 use super::super::Told;
 use super::super::fate::Fate;
+use super::super::stop::worst;
 use super::*;
 
 const STOPPED: State = State::Stopped(StopReason::Requested);
@@ -134,7 +135,7 @@ async fn a_stop_at_the_process_itself_becomes_one_of_the_gcms() {
         let session = register(&gcm, who.clone(), lcm.clone()).await.unwrap().session;
         ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
         let before = gcm.graph().revision;
-        let told = StoppedHere { number: 3, targets: vec![Target::parse("host/a").unwrap()] };
+        let told = StoppedHere { number: 3, targets: vec![(Target::parse("host/a").unwrap(), 3)] };
         lcm.become_state("host/a", STOPPED, "");
         if is_news {
             lcm.news.send(News::StoppedHere(told)).unwrap();
@@ -152,7 +153,25 @@ async fn a_stop_at_the_process_itself_becomes_one_of_the_gcms() {
         until(&gcm, "it is a revision", |graph| graph.revision > before).await;
         ask(&gcm, vec![start("host/a")]).await.unwrap();
         assert_eq!(lcm.state("host/a"), Some(State::Active), "asked after the GCM knew of it");
+        // It had not heard the answer to the first when it was asked once more.
+        let targets = [("host/a", 3), ("host/b", 4)].map(|(path, n)| (Target::parse(path).unwrap(), n));
+        lcm.news.send(News::StoppedHere(StoppedHere { number: 4, targets: targets.into() })).unwrap();
+        while lcm.known_here() != Some(4) {
+            watchdog.saw(format_args!("{:?}", lcm.known_here()));
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(lcm.state("host/a"), Some(State::Active), "it was started after its Stop was answered");
     }
+}
+
+#[test]
+fn a_component_that_may_move_is_what_the_answer_speaks_of() {
+    let not_there = Refusal::ComponentNotFound { id: id("host/a"), known: Vec::new() };
+    let not_told = Refusal::StopNotTold { id: id("eye/c"), why: "its process is lost".into() };
+    let failed = [not_there.clone(), not_told.clone()].map(|refusal| (Target::everything(), refusal));
+    assert_eq!(worst(&failed), Some(&not_told));
+    assert_eq!(worst(&failed[..1]), Some(&not_there));
+    assert_eq!(worst(&[]), None);
 }
 
 #[tokio::test]
