@@ -19,6 +19,7 @@ mod takeover;
 mod threads;
 
 pub use builder::HostBuilder;
+pub use candidacy::Among;
 pub use config::HostConfig;
 pub use error::HostError;
 pub use memory::MemoryBounds;

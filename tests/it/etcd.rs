@@ -41,11 +41,19 @@ impl Lab {
     }
 
     fn manager(&self, at: usize, listen: &str) -> HostProcess {
+        self.manager_with(at, listen, &[])
+    }
+
+    fn manager_with(&self, at: usize, listen: &str, more: &[&str]) -> HostProcess {
         let name = format!("gcm{at}");
         let state = self.world.state().join(&name);
         let store = self.etcd.place("lab7");
         let args = ["gcm", "--listen", listen, "--store", &store, "--state"].map(Into::into);
-        HostProcess::spawn(&self.world, &name, &[&args[..], &[state.into()]].concat())
+        HostProcess::spawn(
+            &self.world,
+            &name,
+            &[&args[..], &[state.into()], &more.iter().map(Into::into).collect::<Vec<_>>()].concat(),
+        )
     }
 
     /// Addresses of all managers, with commas between them.

@@ -2,6 +2,7 @@
 //!
 //! Invariant: it is in no data path: ending it delays no sample between components.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -11,8 +12,8 @@ use serde_json::json;
 use super::failure::{Done, Failure};
 use super::session::Session;
 use super::{hosting, logging, out, session};
-use trocar::host::{Host, Predecessor, StateChoice, say_to_keeper, state_home};
-use trocar::journal::EtcdPlace;
+use trocar::host::{Among, Host, Predecessor, StateChoice, say_to_keeper, state_home};
+use trocar::journal::{EtcdPlace, host_and_port};
 
 const EXAMPLES: &str = "\
 Example:
@@ -46,6 +47,9 @@ pub(super) struct GcmArgs {
     /// Keep the journal in etcd, and lead its system only while no other GCM of that place does.
     #[arg(long, value_name = "etcd://HOST:PORT,.../NAME")]
     store: Option<EtcdPlace>,
+    /// With --store: address at which others reach this GCM, where that is not the one it listens at.
+    #[arg(long, value_name = "ADDR", requires = "store", value_parser = host_and_port)]
+    advertise: Option<String>,
     /// With --store: time after which another GCM leads when this one is not heard, s.
     #[arg(long, value_name = "S", default_value_t = 2, value_parser = clap::value_parser!(u64).range(2..=60), requires = "store")]
     lease: u64,
@@ -87,10 +91,18 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
         before.end().await?;
     }
     let (listen, rules, state) = (&listen, args.port.rules(), StateChoice::Durable(dir));
-    let host = match &args.store {
+    let host = match args.store.clone() {
         Some(place) => {
-            let stands = (place, Duration::from_secs(args.lease));
-            Host::start_candidate(listen, &state, stands, rules).await?
+            let (advertise, lease) = (args.advertise.clone(), Duration::from_secs(args.lease));
+            let is_any = |addr: SocketAddr| addr.ip().is_unspecified();
+            let reached = advertise.as_ref().unwrap_or(listen);
+            if reached.parse().is_ok_and(is_any) {
+                return Err(Failure::usage(
+                    format!("others reach no GCM at {reached}"),
+                    "say at which address they reach this one: --advertise HOST:PORT",
+                ));
+            }
+            Host::start_candidate(listen, &state, &Among { place, advertise, lease }, rules).await?
         }
         None => Host::start_gcm(listen, &state, args.fresh, rules).await?,
     };

@@ -122,10 +122,10 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_lead_that_is_lost_never_comes_back() {
         let lead = Lead::new(3, clock::now() + Duration::from_secs(9));
-        lead.lose("etcd has ended its lease");
+        lead.lose("another GCM has taken it");
         lead.lose("something else");
         lead.confirm(clock::now() + Duration::from_secs(9));
-        assert_eq!(lead.lost().await, "etcd has ended its lease");
-        assert!(lead.holds().unwrap_err().to_string().contains("etcd has ended its lease"));
+        assert_eq!(lead.lost().await, "another GCM has taken it");
+        assert!(lead.holds().unwrap_err().to_string().contains("another GCM has taken it"));
     }
 }

@@ -19,8 +19,19 @@ use crate::runtime_dir::RuntimeDir;
 const LOOK: Duration = Duration::from_millis(200);
 /// Pause of a GCM that cannot read the journal, so that others may have the lead.
 const UNFIT: Duration = Duration::from_secs(5);
-/// Time for the last records and the lease, at the end.
+/// Time for the last records and the lead, at the end.
 const AT_THE_END: Duration = Duration::from_secs(3);
+
+/// The place of a GCM among several.
+#[derive(Clone, Debug)]
+pub struct Among {
+    /// Place of the journal that they share.
+    pub place: EtcdPlace,
+    /// Address at which others reach this one; `None`: where it listens.
+    pub advertise: Option<String>,
+    /// Time after which another one leads when the one that does is not heard.
+    pub lease: Duration,
+}
 
 /// A candidate at work.
 pub(super) struct Candidacy {
@@ -44,17 +55,18 @@ struct Reign {
 }
 
 impl Candidacy {
-    /// Campaigns once, and on in the background. `address` is where others reach the seat; `ttl` is the time
-    /// after which another leads when this one is not heard.
+    /// Campaigns once, and on in the background. `listens`: where the seat is served.
     ///
     /// # Errors
     /// The place has no journal that can be read. An etcd that does not answer is waited for.
     pub(super) async fn begin(
         seat: Seat,
-        (place, address, ttl): (&EtcdPlace, String, Duration),
+        (among, listens): (&Among, String),
         (rules, runtime): (PortRules, RuntimeDir),
     ) -> Result<Candidacy, HostError> {
-        let candidate = Arc::new(Candidate::new(place, address, ttl));
+        let address = among.advertise.clone().unwrap_or(listens);
+        let candidate = Candidate::new(&among.place, address, among.lease).map_err(HostError::Journal)?;
+        let candidate = Arc::new(candidate);
         let (end, ending) = watch::channel(false);
         let standing = Standing { candidate, seat, rules, runtime, end: ending };
         let reign = match standing.campaign().await {
@@ -128,13 +140,18 @@ impl Standing {
     async fn campaign(&self) -> Result<Option<Reign>, HostError> {
         let begun = match self.candidate.campaign().await {
             Ok(Campaign::Won(won)) => self.begin(&won).await.map(Some),
-            Ok(Campaign::Follows(leader)) if leader.address == self.candidate.address() => {
-                self.seat
-                    .knows_no_leader("the lease of the GCM that was at its address before has not ended");
-                return Ok(None);
-            }
-            Ok(Campaign::Follows(leader)) => {
-                self.seat.follows(&leader.address);
+            Ok(Campaign::Follows { leader, beats }) => {
+                match (leader.address == self.candidate.address(), beats) {
+                    (false, _) => self.seat.follows(&leader.address),
+                    (true, false) => {
+                        self.seat.knows_no_leader("the GCM that was at its address before may still lead");
+                    }
+                    (true, true) => self.seat.knows_no_leader(&format!(
+                        "another GCM with its address, {}, leads: give each one of its own with --listen, or \
+                         with --advertise",
+                        leader.address
+                    )),
+                }
                 return Ok(None);
             }
             Err(e) => Err(HostError::Journal(e)),

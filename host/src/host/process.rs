@@ -17,14 +17,14 @@ use trocar_loader::{CatalogChange, PluginEntry, PluginError};
 use trocar_model::{Request, Target};
 
 use super::announce::Announcement;
-use super::candidacy::Candidacy;
+use super::candidacy::{Among, Candidacy};
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::state_dir::Kind;
 use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
 use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration, StartError};
-use crate::journal::{EtcdPlace, RedbStore};
+use crate::journal::RedbStore;
 use crate::lcm::{Decision, Lcm, LcmConfig, LocalLcm, LogLine, Order, Stop, keep_descriptors};
 use crate::runtime_dir::RuntimeDir;
 
@@ -79,19 +79,19 @@ impl Host {
     }
 
     /// Starts a GCM without components among several for one system: `trocar gcm --store`. It leads when
-    /// nobody else does, and for `ttl` after it was heard last.
+    /// nobody else does, until it is not heard for its lease.
     ///
     /// # Errors
     /// State directory or port cannot be used, or what lies at that place is not a journal that can be read.
     pub async fn start_candidate(
         listen: &str,
         state: &StateChoice,
-        (place, ttl): (&EtcdPlace, Duration),
+        among: &Among,
         rules: PortRules,
     ) -> Result<Self, HostError> {
         needs_runtime()?;
         let mut host = Self::in_directory(state, false)?;
-        let done = host.bring_up_candidate(listen, (place, ttl), rules).await;
+        let done = host.bring_up_candidate(listen, among, rules).await;
         host.if_up(done).await
     }
 
@@ -224,7 +224,7 @@ impl Host {
     async fn bring_up_candidate(
         &mut self,
         listen: &str,
-        (place, ttl): (&EtcdPlace, Duration),
+        among: &Among,
         rules: PortRules,
     ) -> Result<(), HostError> {
         let runtime = RuntimeDir::of_user();
@@ -232,7 +232,7 @@ impl Host {
         let addr = server.addr();
         self.addr = Some(addr);
         self.ending.running().server = Some(server);
-        let begun = Candidacy::begin(seat, (place, addr.to_string(), ttl), (rules, runtime)).await?;
+        let begun = Candidacy::begin(seat, (among, addr.to_string()), (rules, runtime)).await?;
         self.ending.running().candidacy = Some(begun);
         self.state.is_used_by(&Kind::Candidate);
         Ok(())

@@ -25,17 +25,22 @@ pub struct Identity {
 
 impl Identity {
     pub(super) fn new() -> Res<Identity> {
-        let mut id = [0; 16];
-        rustix::rand::getrandom(&mut id, rustix::rand::GetRandomFlags::empty())
-            .map_err(|e| Bad::now(format!("no random numbers for its id: {e}")))?;
         let created = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Identity { id: u128::from_be_bytes(id), created_ns: created.as_nanos() as u64 })
+        Ok(Identity { id: random()?, created_ns: created.as_nanos() as u64 })
     }
 
     pub(super) fn encoded(&self) -> Vec<u8> {
         let Identity { id, created_ns } = *self;
         wire::Identity { schema: SCHEMA, id: id.to_be_bytes().to_vec(), created_ns }.encode_to_vec()
     }
+}
+
+/// A number that nobody else has.
+pub(super) fn random() -> Res<u128> {
+    let mut id = [0; 16];
+    rustix::rand::getrandom(&mut id, rustix::rand::GetRandomFlags::empty())
+        .map_err(|e| Bad::now(format!("no random numbers for its id: {e}")))?;
+    Ok(u128::from_be_bytes(id))
 }
 
 /// A record that is kept.

@@ -23,7 +23,7 @@ mod tests;
 
 pub use aside::{is_aside, put_aside};
 pub use chain::Hash;
-pub use etcd::{Campaign, Candidate, EtcdPlace, EtcdStore, Leader, PlaceError, Tenure, Won};
+pub use etcd::{Campaign, Candidate, EtcdPlace, EtcdStore, Leader, PlaceError, Tenure, Won, host_and_port};
 pub use fault::Fault;
 pub use frame::{Identity, Kept};
 pub use json::json;

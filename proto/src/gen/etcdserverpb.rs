@@ -33,9 +33,6 @@ pub struct KeyValue {
     /// The value.
     #[prost(bytes = "vec", tag = "5")]
     pub value: ::prost::alloc::vec::Vec<u8>,
-    /// Lease that it goes with; 0: none.
-    #[prost(int64, tag = "6")]
-    pub lease: i64,
 }
 /// Reads keys, in their order.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -81,9 +78,6 @@ pub struct PutRequest {
     /// Its value.
     #[prost(bytes = "vec", tag = "2")]
     pub value: ::prost::alloc::vec::Vec<u8>,
-    /// Lease that it goes with; 0: none.
-    #[prost(int64, tag = "3")]
-    pub lease: i64,
 }
 /// A key was written.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -320,65 +314,19 @@ pub struct TxnResponse {
     #[prost(message, repeated, tag = "3")]
     pub responses: ::prost::alloc::vec::Vec<ResponseOp>,
 }
-/// Makes a lease.
+/// Forgets revisions.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LeaseGrantRequest {
-    /// Time that it lasts when nobody keeps it alive, s.
+pub struct CompactionRequest {
+    /// The first revision that stays.
     #[prost(int64, tag = "1")]
-    pub ttl: i64,
-    /// Its number; 0: the cluster chooses.
-    #[prost(int64, tag = "2")]
-    pub id: i64,
+    pub revision: i64,
 }
-/// A lease was made.
-#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LeaseGrantResponse {
+/// Revisions are forgotten.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct CompactionResponse {
     /// The cluster.
     #[prost(message, optional, tag = "1")]
     pub header: ::core::option::Option<ResponseHeader>,
-    /// Its number.
-    #[prost(int64, tag = "2")]
-    pub id: i64,
-    /// Time that it lasts, s; the cluster may have a least one.
-    #[prost(int64, tag = "3")]
-    pub ttl: i64,
-    /// Why there is none.
-    #[prost(string, tag = "4")]
-    pub error: ::prost::alloc::string::String,
-}
-/// Ends a lease.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LeaseRevokeRequest {
-    /// Its number.
-    #[prost(int64, tag = "1")]
-    pub id: i64,
-}
-/// A lease was ended.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LeaseRevokeResponse {
-    /// The cluster.
-    #[prost(message, optional, tag = "1")]
-    pub header: ::core::option::Option<ResponseHeader>,
-}
-/// Keeps a lease alive.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LeaseKeepAliveRequest {
-    /// Its number.
-    #[prost(int64, tag = "1")]
-    pub id: i64,
-}
-/// A lease was kept alive.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
-pub struct LeaseKeepAliveResponse {
-    /// The cluster.
-    #[prost(message, optional, tag = "1")]
-    pub header: ::core::option::Option<ResponseHeader>,
-    /// Its number.
-    #[prost(int64, tag = "2")]
-    pub id: i64,
-    /// Time that it lasts from now on, s; 0: there is no such lease any more.
-    #[prost(int64, tag = "3")]
-    pub ttl: i64,
 }
 /// Generated client implementations.
 pub mod kv_client {
@@ -499,95 +447,12 @@ pub mod kv_client {
             req.extensions_mut().insert(GrpcMethod::new("etcdserverpb.KV", "Txn"));
             self.inner.unary(req, path, codec).await
         }
-    }
-}
-/// Generated client implementations.
-pub mod lease_client {
-    #![allow(
-        unused_variables,
-        dead_code,
-        missing_docs,
-        clippy::wildcard_imports,
-        clippy::let_unit_value,
-    )]
-    use tonic::codegen::*;
-    use tonic::codegen::http::Uri;
-    /// Keys that go when nobody keeps them alive.
-    #[derive(Debug, Clone)]
-    pub struct LeaseClient<T> {
-        inner: tonic::client::Grpc<T>,
-    }
-    impl<T> LeaseClient<T>
-    where
-        T: tonic::client::GrpcService<tonic::body::Body>,
-        T::Error: Into<StdError>,
-        T::ResponseBody: Body<Data = Bytes> + std::marker::Send + 'static,
-        <T::ResponseBody as Body>::Error: Into<StdError> + std::marker::Send,
-    {
-        pub fn new(inner: T) -> Self {
-            let inner = tonic::client::Grpc::new(inner);
-            Self { inner }
-        }
-        pub fn with_origin(inner: T, origin: Uri) -> Self {
-            let inner = tonic::client::Grpc::with_origin(inner, origin);
-            Self { inner }
-        }
-        pub fn with_interceptor<F>(
-            inner: T,
-            interceptor: F,
-        ) -> LeaseClient<InterceptedService<T, F>>
-        where
-            F: tonic::service::Interceptor,
-            T::ResponseBody: Default,
-            T: tonic::codegen::Service<
-                http::Request<tonic::body::Body>,
-                Response = http::Response<
-                    <T as tonic::client::GrpcService<tonic::body::Body>>::ResponseBody,
-                >,
-            >,
-            <T as tonic::codegen::Service<
-                http::Request<tonic::body::Body>,
-            >>::Error: Into<StdError> + std::marker::Send + std::marker::Sync,
-        {
-            LeaseClient::new(InterceptedService::new(inner, interceptor))
-        }
-        /// Compress requests with the given encoding.
-        ///
-        /// This requires the server to support it otherwise it might respond with an
-        /// error.
-        #[must_use]
-        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
-            self.inner = self.inner.send_compressed(encoding);
-            self
-        }
-        /// Enable decompressing responses.
-        #[must_use]
-        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
-            self.inner = self.inner.accept_compressed(encoding);
-            self
-        }
-        /// Limits the maximum size of a decoded message.
-        ///
-        /// Default: `4MB`
-        #[must_use]
-        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
-            self.inner = self.inner.max_decoding_message_size(limit);
-            self
-        }
-        /// Limits the maximum size of an encoded message.
-        ///
-        /// Default: `usize::MAX`
-        #[must_use]
-        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
-            self.inner = self.inner.max_encoding_message_size(limit);
-            self
-        }
-        /// Makes a lease.
-        pub async fn lease_grant(
+        /// Forgets old revisions.
+        pub async fn compact(
             &mut self,
-            request: impl tonic::IntoRequest<super::LeaseGrantRequest>,
+            request: impl tonic::IntoRequest<super::CompactionRequest>,
         ) -> std::result::Result<
-            tonic::Response<super::LeaseGrantResponse>,
+            tonic::Response<super::CompactionResponse>,
             tonic::Status,
         > {
             self.inner
@@ -599,65 +464,10 @@ pub mod lease_client {
                     )
                 })?;
             let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/etcdserverpb.Lease/LeaseGrant",
-            );
+            let path = http::uri::PathAndQuery::from_static("/etcdserverpb.KV/Compact");
             let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("etcdserverpb.Lease", "LeaseGrant"));
+            req.extensions_mut().insert(GrpcMethod::new("etcdserverpb.KV", "Compact"));
             self.inner.unary(req, path, codec).await
-        }
-        /// Ends a lease; its keys go.
-        pub async fn lease_revoke(
-            &mut self,
-            request: impl tonic::IntoRequest<super::LeaseRevokeRequest>,
-        ) -> std::result::Result<
-            tonic::Response<super::LeaseRevokeResponse>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/etcdserverpb.Lease/LeaseRevoke",
-            );
-            let mut req = request.into_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("etcdserverpb.Lease", "LeaseRevoke"));
-            self.inner.unary(req, path, codec).await
-        }
-        /// Keeps leases alive: one answer for each message.
-        pub async fn lease_keep_alive(
-            &mut self,
-            request: impl tonic::IntoStreamingRequest<
-                Message = super::LeaseKeepAliveRequest,
-            >,
-        ) -> std::result::Result<
-            tonic::Response<tonic::codec::Streaming<super::LeaseKeepAliveResponse>>,
-            tonic::Status,
-        > {
-            self.inner
-                .ready()
-                .await
-                .map_err(|e| {
-                    tonic::Status::unknown(
-                        format!("Service was not ready: {}", e.into()),
-                    )
-                })?;
-            let codec = tonic_prost::ProstCodec::default();
-            let path = http::uri::PathAndQuery::from_static(
-                "/etcdserverpb.Lease/LeaseKeepAlive",
-            );
-            let mut req = request.into_streaming_request();
-            req.extensions_mut()
-                .insert(GrpcMethod::new("etcdserverpb.Lease", "LeaseKeepAlive"));
-            self.inner.streaming(req, path, codec).await
         }
     }
 }

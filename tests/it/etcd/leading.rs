@@ -117,9 +117,35 @@ fn a_leader_that_ends_in_order_hands_over() {
 }
 
 #[test]
+fn a_leader_is_named_by_the_address_that_it_advertises() {
+    let mut lab = Lab::new(1, 0);
+    let elsewhere = ["--advertise", "lab.example:50551"];
+    lab.gcms = (0..2).map(|at| lab.manager_with(at, "127.0.0.1:0", &elsewhere)).collect();
+    lab.add_manager();
+    assert_eq!(lab.leader(), 0);
+    let refusal = |at: usize| lab.grpc(at).refused("GcmService/List", json!({}));
+    assert_eq!(told(&refusal(2), "leader"), "lab.example:50551");
+    // It would send its callers to itself.
+    let beside = eventually("the other of that address says so", || match refusal(1) {
+        said if said.message.contains("--advertise") => Ok(said),
+        said => Err(said),
+    });
+    assert_eq!((beside.reason.as_str(), told(&beside, "leader").as_str()), ("NOT_LEADER", ""), "{beside}");
+}
+
+#[test]
 fn a_place_that_cannot_be_read_is_refused_with_what_is_wrong() {
     let lab = Lab::new(1, 0);
     let trocar = Trocar::new(&lab.world);
+    let store = lab.etcd.place("lab7");
+    for (more, why) in [
+        (["--listen", "0.0.0.0:0"], "--advertise HOST:PORT"),
+        (["--advertise", "lab.example"], "has no port"),
+        (["--advertise", "lab.example:0"], "from 1 to 65535"),
+    ] {
+        let refused = trocar.run(&[&["gcm", "--store", &store][..], &more].concat());
+        assert!(refused.code == 2 && refused.stderr.contains(why), "{more:?}: {refused:?}");
+    }
     for (store, why) in [
         ("127.0.0.1:2379/lab7", "begin with etcd://"),
         ("etcd://127.0.0.1:2379", "no prefix"),

@@ -8,7 +8,7 @@ use trocar_tests::eventually;
 
 use super::{Lab, is_attached, send};
 
-/// The lease of 2 s, half a second by which etcd looks for leases that have ended, and a look of the others.
+/// The lease of 2 s, counted from the last beat that the others saw, and a look of theirs.
 const BOUND: Duration = Duration::from_secs(3);
 
 /// Time from `harm` until a change is answered by another manager.

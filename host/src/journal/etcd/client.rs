@@ -12,7 +12,6 @@ use tonic::{Code, Request, Response, Status};
 use trocar_proto::etcd;
 use trocar_proto::etcd::compare::{CompareResult, CompareTarget, TargetUnion};
 use trocar_proto::etcd::kv_client::KvClient;
-use trocar_proto::etcd::lease_client::LeaseClient;
 use trocar_proto::etcd::request_op::Request as Op;
 use trocar_proto::etcd::response_op::Response as Answer;
 
@@ -45,6 +44,15 @@ impl Client {
         let members = place.endpoints().to_vec();
         let ways = Mutex::new(Ways { at: 0, channels: vec![None; members.len()] });
         Client { members, ways }
+    }
+
+    /// A client for another runtime: in the same cluster it begins with the member that answered last.
+    pub(super) fn beside(&self, place: &EtcdPlace) -> Client {
+        let client = Client::new(place);
+        if client.members == self.members {
+            client.ways.lock().at = self.ways.lock().at;
+        }
+        client
     }
 
     /// Returns the member to ask, and the way to it.
@@ -137,45 +145,19 @@ impl Client {
         Ok((read.kvs, read.more))
     }
 
-    /// Makes a lease; returns its number, and how long it lasts.
-    pub(super) async fn grant(&self, ttl: Duration, within: Duration) -> Res<(i64, Duration)> {
-        let ttl = i64::try_from(ttl.as_secs()).unwrap_or(i64::MAX);
-        let granted = self
-            .call(within, |channel| {
-                let mut lease = LeaseClient::new(channel);
-                async move { lease.lease_grant(etcd::LeaseGrantRequest { ttl, id: 0 }).await }
-            })
-            .await?;
-        if !granted.error.is_empty() {
-            return Err(Bad::now(format!("etcd gives no lease: {}", granted.error)));
-        }
-        Ok((granted.id, seconds(granted.ttl)))
-    }
-
-    /// Ends a lease.
-    pub(super) async fn revoke(&self, id: i64, within: Duration) -> Res<()> {
+    /// Has revisions before that one forgotten; one of them may be already.
+    pub(super) async fn compact(&self, revision: i64, within: Duration) -> Res<()> {
         self.call(within, |channel| {
-            let mut lease = LeaseClient::new(channel);
-            async move { lease.lease_revoke(etcd::LeaseRevokeRequest { id }).await }
+            let mut kv = KvClient::new(channel);
+            async move {
+                match kv.compact(etcd::CompactionRequest { revision }).await {
+                    Err(done) if done.code() == Code::OutOfRange => Ok(Response::new(Default::default())),
+                    other => other,
+                }
+            }
         })
         .await
         .map(|_| ())
-    }
-
-    /// Keeps a lease alive; returns how long it lasts from now on, zero where it is gone.
-    pub(super) async fn keep_alive(&self, id: i64, within: Duration) -> Res<Duration> {
-        let kept = self
-            .call(within, |channel| {
-                let mut lease = LeaseClient::new(channel);
-                let one = tokio_stream::once(etcd::LeaseKeepAliveRequest { id });
-                async move {
-                    let mut answers = lease.lease_keep_alive(one).await?.into_inner();
-                    let answer = answers.message().await?;
-                    answer.map(Response::new).ok_or_else(|| Status::unavailable("it closed the stream"))
-                }
-            })
-            .await?;
-        Ok(seconds(kept.ttl))
     }
 }
 
@@ -188,10 +170,6 @@ pub(super) struct Done {
     pub(super) ranges: Vec<Vec<etcd::KeyValue>>,
 }
 
-fn seconds(ttl: i64) -> Duration {
-    Duration::from_secs(u64::try_from(ttl).unwrap_or_default())
-}
-
 /// Tells whether another member, or the same one later, may answer otherwise.
 fn may_pass(refused: &Status) -> bool {
     matches!(refused.code(), Code::Unavailable | Code::DeadlineExceeded | Code::Cancelled | Code::Unknown)
@@ -202,8 +180,7 @@ fn said(refused: &Status) -> Bad {
     let text = refused.message();
     let todo = match refused.code() {
         Code::ResourceExhausted if text.contains("space") => {
-            "let it compact and defragment (`etcdctl compact`, `etcdctl defrag`, `etcdctl alarm disarm`), and \
-             start it with --auto-compaction-retention=1h"
+            "let it compact and defragment (`etcdctl compact`, `etcdctl defrag`, `etcdctl alarm disarm`)"
         }
         Code::Unauthenticated | Code::PermissionDenied => "a GCM has no password for etcd: serve it without",
         Code::InvalidArgument if text.contains("user name is empty") => {
@@ -228,27 +205,18 @@ pub(super) fn read(Span(key, range_end): Span, limit: i64, revision: i64) -> etc
     etcd::RangeRequest { key, range_end, limit, revision, keys_only: false }
 }
 
-pub(super) fn put(key: Vec<u8>, value: Vec<u8>, lease: i64) -> Op {
-    Op::RequestPut(etcd::PutRequest { key, value, lease })
+pub(super) fn put(key: Vec<u8>, value: Vec<u8>) -> Op {
+    Op::RequestPut(etcd::PutRequest { key, value })
 }
 
 pub(super) fn delete(Span(key, range_end): Span) -> Op {
     Op::RequestDeleteRange(etcd::DeleteRangeRequest { key, range_end })
 }
 
-/// The key was made at that revision; 0: it is not there.
-pub(super) fn made_at(key: Vec<u8>, revision: i64) -> etcd::Compare {
-    equal(key, CompareTarget::Create, TargetUnion::CreateRevision(revision))
-}
-
 /// The key was changed last at that revision; 0: it is not there.
 pub(super) fn changed_at(key: Vec<u8>, revision: i64) -> etcd::Compare {
-    equal(key, CompareTarget::Mod, TargetUnion::ModRevision(revision))
-}
-
-fn equal(key: Vec<u8>, target: CompareTarget, with: TargetUnion) -> etcd::Compare {
-    let result = CompareResult::Equal.into();
-    etcd::Compare { result, target: target.into(), key, target_union: Some(with) }
+    let (result, target) = (CompareResult::Equal.into(), CompareTarget::Mod.into());
+    etcd::Compare { result, target, key, target_union: Some(TargetUnion::ModRevision(revision)) }
 }
 
 /// Does `success` if all of `compare` holds; else reads those keys.

@@ -38,12 +38,12 @@ impl Keys {
         self.named("snapshot")
     }
 
-    /// The GCM that leads; goes with its lease.
+    /// The GCM that leads; changes with each of its beats.
     pub(super) fn leader(&self) -> Vec<u8> {
         self.named("leader")
     }
 
-    /// The last term that was given out.
+    /// The last term that was given out; changes with each lead.
     pub(super) fn term(&self) -> Vec<u8> {
         self.named("term")
     }

@@ -20,6 +20,6 @@ mod server;
 pub(super) mod tests;
 
 pub use campaign::{Campaign, Candidate, Leader, Won};
-pub use place::{EtcdPlace, PlaceError};
+pub use place::{EtcdPlace, PlaceError, host_and_port};
 pub use store::EtcdStore;
 pub use tenure::Tenure;

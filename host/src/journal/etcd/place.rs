@@ -84,9 +84,17 @@ fn parse(asked: &str) -> Result<EtcdPlace, String> {
 }
 
 fn endpoint(text: &str) -> Result<String, String> {
-    if text.is_empty() {
-        return Err("a member is empty: give each as HOST:PORT, with commas between them".into());
+    match text.is_empty() {
+        true => Err("a member is empty: give each as HOST:PORT, with commas between them".into()),
+        false => host_and_port(text),
     }
+}
+
+/// Reads an address as people spell it: HOST:PORT, or [ADDRESS]:PORT for IPv6.
+///
+/// # Errors
+/// It is none: the text says why.
+pub fn host_and_port(text: &str) -> Result<String, String> {
     let (host, port) = text.rsplit_once(':').ok_or_else(|| format!("{text} has no port: give HOST:PORT"))?;
     let inner = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.' | ':');

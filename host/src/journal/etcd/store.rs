@@ -42,7 +42,7 @@ pub struct EtcdStore {
 struct Within {
     client: Client,
     keys: Keys,
-    leader: i64,
+    term: i64,
     lead: Lead,
     bounds: Bounds,
 }
@@ -73,9 +73,9 @@ impl EtcdStore {
     pub fn new(place: &EtcdPlace, won: &Won, tenure: &Tenure) -> io::Result<EtcdStore> {
         let runtime = Builder::new_current_thread().enable_all().build()?;
         let within = Within {
-            client: Client::new(place),
+            client: tenure.client(place),
             keys: Keys::new(place.prefix()),
-            leader: won.key,
+            term: won.at,
             lead: tenure.lead().clone(),
             bounds: KEPT,
         };
@@ -124,7 +124,7 @@ struct Use<'s> {
 
 impl Use<'_> {
     fn held(&self, head: i64) -> Held {
-        Held { leader: self.within.leader, head }
+        Held { term: self.within.term, head }
     }
 
     async fn read(&mut self) -> Res<Loaded> {

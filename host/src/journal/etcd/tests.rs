@@ -46,7 +46,7 @@ impl Lab {
     }
 
     fn candidate(&self, place: &str) -> Arc<Candidate> {
-        Arc::new(Candidate::new(&place.parse().unwrap(), "127.0.0.1:1".into(), TTL))
+        Arc::new(Candidate::new(&place.parse().unwrap(), "127.0.0.1:1".into(), TTL).unwrap())
     }
 
     /// A lead that somebody has won there, with its store.
@@ -56,7 +56,7 @@ impl Lab {
             match self.runtime.block_on(candidate.campaign()).unwrap() {
                 Campaign::Won(won) => break won,
                 // Its lease ends.
-                Campaign::Follows(_) => thread::sleep(Duration::from_millis(50)),
+                Campaign::Follows { .. } => thread::sleep(Duration::from_millis(50)),
             }
         };
         let tenure = self.runtime.block_on(async { Tenure::begin(&candidate, &won) });
@@ -111,7 +111,7 @@ fn a_gcm_that_has_lost_the_lead_writes_nothing() {
     store.load().unwrap();
     store.append(&records[..2]).unwrap();
     // As when it stands still for longer than its lease, and believes in it nevertheless.
-    lab.runtime.block_on(lab.candidate(&lab.place()).resign(won.lease)).unwrap();
+    lab.runtime.block_on(lab.candidate(&lab.place()).resign(&won)).unwrap();
     let (next_won, next, mut next_store) = lab.wins(&lab.place());
     assert!(next_won.term > won.term);
     assert_has(&next_store.load().unwrap(), &records[..2]);
@@ -133,7 +133,7 @@ fn terms_are_given_once_and_the_others_follow() {
     let (won, tenure, _) = lab.wins(&lab.place());
     let other = lab.candidate(&lab.place());
     match lab.runtime.block_on(other.campaign()).unwrap() {
-        Campaign::Follows(leader) => {
+        Campaign::Follows { leader, .. } => {
             assert_eq!((leader.address.as_str(), leader.term), ("127.0.0.1:1", won.term))
         }
         Campaign::Won(won) => panic!("two lead: {won:?}"),
@@ -156,7 +156,97 @@ fn terms_are_given_once_and_the_others_follow() {
 
 #[test]
 #[ignore = "needs etcd: ./tests/run etcd"]
-fn a_lease_that_is_not_kept_alive_ends_the_lead_before_another_has_it() {
+fn a_leader_that_is_not_heard_is_followed_for_its_lease_and_no_longer() {
+    let lab = Lab::new(1);
+    let other = lab.candidate(&lab.place());
+    let looks = || lab.runtime.block_on(other.campaign()).unwrap();
+    let (won, tenure, mut store) = lab.wins(&lab.place());
+    store.load().unwrap();
+    let lead = tenure.lead().clone();
+    let mut watchdog = crate::watchdog::Watchdog::of("another one sees its beats");
+    let follows = |campaign| match campaign {
+        Campaign::Follows { leader, beats } => (leader, beats),
+        Campaign::Won(next) => panic!("{next:?} leads beside {won:?}"),
+    };
+    while !follows(looks()).1 {
+        watchdog.saw("no beat");
+        thread::sleep(Duration::from_millis(20));
+    }
+    // It does not say any more that it is there, and believes in its lead as long as it may.
+    drop(tenure);
+    let next = loop {
+        match looks() {
+            Campaign::Won(next) => break next,
+            Campaign::Follows { .. } => thread::sleep(Duration::from_millis(20)),
+        }
+    };
+    assert!(is_lost(&lead) && next.term > won.term, "{next:?} after {won:?}");
+    let refused = store.append(&kinds::records()[..1]).unwrap_err();
+    assert_eq!(refused.unusable, Unusable::NotLeading, "{refused}");
+}
+
+#[test]
+#[ignore = "needs etcd: ./tests/run etcd"]
+fn a_beat_that_comes_late_keeps_nothing_and_takes_nothing() {
+    let lab = Lab::new(1);
+    let (first, second) = (lab.candidate(&lab.place()), lab.candidate(&lab.place()));
+    let wins = |candidate: &Candidate| match lab.runtime.block_on(candidate.campaign()).unwrap() {
+        Campaign::Won(won) => won,
+        Campaign::Follows { leader, .. } => panic!("{leader:?} leads"),
+    };
+    let beat = |candidate: &Candidate, won| lab.runtime.block_on(candidate.beat(won, TTL)).ok().unwrap();
+    let resigns = |won| lab.runtime.block_on(first.resign(won)).map_err(|bad| bad.why).unwrap();
+    let before = wins(&first);
+    resigns(&before);
+    // It was on its way when the lead was let go: nobody waits for a lease that it would begin.
+    assert!(beat(&first, &before).is_err());
+    let after = wins(&second);
+    assert!(beat(&first, &before).is_err());
+    resigns(&before);
+    assert!(beat(&second, &after).is_ok(), "it leads as before");
+}
+
+#[test]
+#[ignore = "needs etcd: ./tests/run etcd"]
+fn a_place_that_was_emptied_is_led_by_nobody_who_has_seen_more_there() {
+    let mut lab = Lab::new(1);
+    drop(written(&mut lab));
+    let mine = lab.candidate(&lab.place());
+    let campaigns = |candidate: &Candidate| lab.runtime.block_on(candidate.campaign());
+    assert!(matches!(campaigns(&mine).unwrap(), Campaign::Follows { .. }));
+    let lead = lab.leader.as_ref().unwrap().lead().clone();
+    lab.does(vec![delete(Span(format!("{PREFIX}/").into(), format!("{PREFIX}0").into()))]);
+    let why = lab.runtime.block_on(lead.lost());
+    assert_eq!(why, "its keys in etcd are gone");
+    let refused = campaigns(&mine).unwrap_err();
+    assert_eq!(refused.unusable, Unusable::Damaged, "{refused}");
+    assert!(refused.why.contains("it was emptied"), "{refused}");
+    assert!(lab.content().is_empty(), "nothing was written");
+    assert!(matches!(campaigns(&lab.candidate(&lab.place())).unwrap(), Campaign::Won(_)), "a new GCM leads");
+}
+
+#[test]
+#[ignore = "needs etcd: ./tests/run etcd"]
+fn etcd_forgets_what_beats_leave_behind() {
+    let lab = Lab::new(1);
+    let (client, candidate) = (Client::new(&lab.place().parse().unwrap()), lab.candidate(&lab.place()));
+    let Campaign::Won(won) = lab.runtime.block_on(candidate.campaign()).unwrap() else { panic!("it leads") };
+    let beat = || lab.runtime.block_on(candidate.beat(&won, TTL)).ok().unwrap().unwrap();
+    let (old, new) = (beat(), beat());
+    let at = |revision| {
+        let leader = read(Span(keys().leader(), Vec::new()), 0, revision);
+        lab.runtime.block_on(client.range(leader, WITHIN)).map(|(found, _)| found.len())
+    };
+    assert_eq!(at(old).ok(), Some(1));
+    for _ in 0..2 {
+        lab.runtime.block_on(client.compact(new, WITHIN)).map_err(|bad| bad.why).unwrap();
+    }
+    assert!(at(old).is_err() && at(new).is_ok());
+}
+
+#[test]
+#[ignore = "needs etcd: ./tests/run etcd"]
+fn a_lead_that_is_not_confirmed_ends_before_another_has_it() {
     let mut lab = Lab::new(1);
     let (_, tenure, mut store) = lab.wins(&lab.place());
     store.load().unwrap();
@@ -304,11 +394,11 @@ fn what_is_damaged_or_of_a_later_release_is_refused_unharmed() {
         let mut value = of(key.clone());
         let middle = value.len() / 2;
         value[middle] ^= 0x20;
-        put(key, value, 0)
+        put(key, value)
     };
     let later = |key: Vec<u8>| {
         let record = wire::Record::decode(of(key.clone()).as_slice()).unwrap();
-        put(key, wire::Record { schema: SCHEMA + 6, ..record }.encode_to_vec(), 0)
+        put(key, wire::Record { schema: SCHEMA + 6, ..record }.encode_to_vec())
     };
     let gone = |key: Vec<u8>| delete(Span(key, Vec::new()));
     let last = keys.record(11, 0);
@@ -317,13 +407,13 @@ fn what_is_damaged_or_of_a_later_release_is_refused_unharmed() {
         (flipped(last.clone()), Unusable::Damaged, "record 11"),
         (gone(keys.record(7, 0)), Unusable::Damaged, "record 7: it is missing"),
         (gone(last.clone()), Unusable::Damaged, "record 11: it is missing"),
-        (put(keys.record(7, 1), vec![1], 0), Unusable::Damaged, "record 7"),
-        (put(keys.record(7, 2), vec![1], 0), Unusable::Damaged, "part 1 is missing"),
+        (put(keys.record(7, 1), vec![1]), Unusable::Damaged, "record 7"),
+        (put(keys.record(7, 2), vec![1]), Unusable::Damaged, "part 1 is missing"),
         (flipped(keys.part(1, 0)), Unusable::Damaged, "another hash"),
         (gone(keys.part(1, 0)), Unusable::Damaged, "it has 0 parts, not 1"),
         (gone(keys.head()), Unusable::Damaged, "it has no head"),
         (gone(keys.identity()), Unusable::Damaged, "not a journal"),
-        (put(keys.identity(), b"hello".to_vec(), 0), Unusable::Damaged, "cannot be decoded"),
+        (put(keys.identity(), b"hello".to_vec()), Unusable::Damaged, "cannot be decoded"),
         (later(last), Unusable::Newer, "schema 7"),
     ];
     for (harm, unusable, why) in cases {
@@ -339,7 +429,7 @@ fn what_is_damaged_or_of_a_later_release_is_refused_unharmed() {
             format!("{PREFIX}/records0").into(),
         ))]);
         for (key, value) in &good {
-            lab.does(vec![put(key.clone(), value.clone(), 0)]);
+            lab.does(vec![put(key.clone(), value.clone())]);
         }
         assert_eq!(lab.leads().load().unwrap().records.len(), 6);
     }
@@ -357,7 +447,7 @@ fn another_writer_is_noticed_and_two_systems_do_not_meet() {
     assert_eq!(store.load().unwrap().records.len(), 7);
     assert_has(&other.load().unwrap(), &kinds::records()[..3]);
     let head = lab.content().into_iter().find(|(key, _)| *key == keys().head()).unwrap();
-    lab.does(vec![put(head.0, head.1, 0)]);
+    lab.does(vec![put(head.0, head.1)]);
     let refused = store.append(&kinds::records()).unwrap_err();
     assert_eq!(refused.unusable, Unusable::Damaged, "{refused}");
     assert!(refused.why.contains("another process wrote it"), "{refused}");

@@ -1,6 +1,6 @@
 //! Writes a journal to etcd: one transaction, or a sequence of which the last makes it count.
 //!
-//! Invariant: each transaction compares the key of the leader and the revision of the head. What lies behind
+//! Invariant: each transaction compares the revisions of the term and of the head. What lies behind
 //! the head does not count, and goes with the next change.
 
 use std::time::Duration;
@@ -8,7 +8,7 @@ use std::time::Duration;
 use trocar_proto::etcd;
 pub(super) use trocar_proto::etcd::request_op::Request as Operation;
 
-use super::client::{Client, changed_at, delete, get, made_at, put, txn};
+use super::client::{Client, changed_at, delete, get, put, txn};
 use super::keys::{Keys, Span};
 use crate::gcm::Unusable;
 use crate::journal::fault::{Bad, Res};
@@ -23,8 +23,8 @@ const TXN: (usize, usize) = (1 << 20, 100);
 /// Conditions of a transaction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Held {
-    /// Revision at which the key of this leader was made.
-    pub(super) leader: i64,
+    /// Revision at which the term of this leader was counted.
+    pub(super) term: i64,
     /// Revision at which the head was written.
     pub(super) head: i64,
 }
@@ -47,7 +47,7 @@ impl Puts {
             self.bytes = 0;
         }
         self.bytes += bytes;
-        self.open.push(put(key, value.to_vec(), 0));
+        self.open.push(put(key, value.to_vec()));
     }
 
     /// Puts a value in pieces; returns their number.
@@ -79,7 +79,7 @@ pub(super) async fn commit(
     }
     let mut last = open;
     last.extend(then);
-    last.push(put(keys.head(), head.clone(), 0));
+    last.push(put(keys.head(), head.clone()));
     let done = client.txn(held.txn(keys, last), WITHIN).await?;
     if done.succeeded {
         return Ok(done.revision);
@@ -94,14 +94,14 @@ pub(super) async fn commit(
 
 impl Held {
     fn txn(&self, keys: &Keys, success: Vec<Operation>) -> etcd::TxnRequest {
-        let compare = vec![made_at(keys.leader(), self.leader), changed_at(keys.head(), self.head)];
-        txn(compare, success, vec![get(keys.leader()), get(keys.head())])
+        let compare = vec![changed_at(keys.term(), self.term), changed_at(keys.head(), self.head)];
+        txn(compare, success, vec![get(keys.term()), get(keys.head())])
     }
 
-    /// Tells whether the leader's key is still there, by what a refused transaction has read.
+    /// Tells whether the term is still this leader's, by what a refused transaction has read.
     fn leads(&self, ranges: &[Vec<etcd::KeyValue>]) -> bool {
-        let leader = ranges.first().and_then(|kvs| kvs.first());
-        leader.is_some_and(|leader| leader.create_revision == self.leader)
+        let term = ranges.first().and_then(|kvs| kvs.first());
+        term.is_some_and(|term| term.mod_revision == self.term)
     }
 
     fn refused(&self, ranges: &[Vec<etcd::KeyValue>]) -> Bad {
