@@ -8,7 +8,7 @@ use std::sync::{Arc, Weak};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::sync::{mpsc, oneshot};
-use trocar_lcm_api::{HalfReport, Inventory, Lcm, News, Report};
+use trocar_lcm_api::{Decision, HalfReport, Inventory, Lcm, News, Report};
 use trocar_model::{Change, Component, ComponentId, ConnectionId, Health, Name, SystemGraph};
 
 use super::Gcm;
@@ -117,7 +117,7 @@ impl Gcm {
         let graph = self.graph();
         for report in has.iter().filter(|report| !graph.components.contains_key(&report.id)) {
             let component = Box::new(nameless(report.state));
-            self.straighten(process, Change::Create { id: report.id.clone(), component });
+            self.straighten(process, Change::Create { id: report.id.clone(), component }, Decision::NONE);
         }
         // One that could not be made again is listed with the reason.
         let lacks = |id: &ComponentId, c: &Component| {
@@ -125,7 +125,7 @@ impl Gcm {
         };
         for (id, component) in graph.components.iter().filter(|(id, component)| lacks(id, component)) {
             let component = Box::new(component.clone());
-            self.straighten(process, Change::Destroy { id: id.clone(), component });
+            self.straighten(process, Change::Destroy { id: id.clone(), component }, Decision::NONE);
         }
     }
 }

@@ -19,7 +19,7 @@ impl Gcm {
     pub(super) fn done_late(&self, process: &Name, change: Change, decision: Decision) {
         log::warn!("{} was done in process {process} after it had been given up", text::asked(&change));
         let Change::Run { id, to: State::Active, .. } = &change else {
-            return self.straighten(process, change);
+            return self.straighten(process, change, decision);
         };
         // A component that moves is stopped at once; the process leaves one alone that was started since.
         if self.granted_by(id).is_none() {
@@ -27,14 +27,15 @@ impl Gcm {
         }
     }
 
-    /// Has the process be as was decided, whether it has done this change or not. Not waited for.
-    pub(super) fn straighten(&self, process: &Name, change: Change) {
+    /// Has the process be as was decided, whether it has done this change of that decision or not. Not waited
+    /// for.
+    pub(super) fn straighten(&self, process: &Name, change: Change, decision: Decision) {
         let Some(session) = self.inner.sessions.lock().holder(process) else { return };
         let asked = text::asked(&change);
         let (gcm, process) = (self.clone(), process.clone());
         tokio::spawn(async move {
             while gcm.hears(&process, session) {
-                match gcm.straight(&process, session, &change).await {
+                match gcm.straight(&process, session, (&change, decision)).await {
                     Ok(()) => break,
                     // It is looked at again, or comes anew with what it has.
                     Err(Refusal::Busy { .. } | Refusal::LcmTimeout { .. }) => {}
@@ -49,7 +50,12 @@ impl Gcm {
         });
     }
 
-    async fn straight(&self, process: &Name, session: u64, change: &Change) -> Result<(), Refusal> {
+    async fn straight(
+        &self,
+        process: &Name,
+        session: u64,
+        (change, decision): (&Change, Decision),
+    ) -> Result<(), Refusal> {
         let doing = format!("taking back {}, which was done late", text::asked(change));
         let by = (self.inner.claims.arrive(), clock::now() + self.inner.each_change);
         let claimed = self.claim_for(doing, &[about(change)], by, |_| Ok(Plan::default())).await;
@@ -69,6 +75,8 @@ impl Gcm {
                 }
                 Ok(())
             }
+            // It has done that to a component that was there before, or before it got its settings.
+            Change::Configure { id, .. } if self.inner.sessions.lock().is_set_since(id, decision) => Ok(()),
             Change::Configure { id, to, .. } => {
                 let Some(component) = graph.components.get(id).filter(|c| c.config != *to) else {
                     return Ok(());

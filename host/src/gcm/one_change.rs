@@ -5,7 +5,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_lcm_api::{Order, Report};
+use trocar_lcm_api::{Decision, Order, Report};
 use trocar_model::{Change, Component, Connection, Name, Plan, Refusal};
 
 use super::changes::id_of;
@@ -38,7 +38,7 @@ impl Drop for Connecting<'_> {
 impl Gcm {
     /// Carries out one change: done by the LCM, then entered in the graph.
     pub(super) async fn one(&self, change: &Change, order: Order) -> Result<Report, Refusal> {
-        let (process, deadline) = (&id_of(change).process, order.deadline);
+        let (process, deadline, decision) = (&id_of(change).process, order.deadline, order.decision);
         let session = self.inner.sessions.lock().holder(process);
         let before = self.sessions_of(change);
         let connecting = match change {
@@ -76,8 +76,9 @@ impl Gcm {
             }
         };
         // From here on it is listed.
-        let loose =
-            self.done_in(process, session, change, &report).inspect_err(|_| self.half_done(change))?;
+        let loose = self
+            .done_in((process, session), (change, decision), &report)
+            .inspect_err(|_| self.half_done(change))?;
         drop(connecting);
         if let Change::Destroy { id, .. } = change {
             self.inner.holds.lock().removed(id);
@@ -95,9 +96,8 @@ impl Gcm {
     /// ProcessLost: it has come anew meanwhile, with what it has.
     fn done_in(
         &self,
-        process: &Name,
-        session: Option<u64>,
-        change: &Change,
+        (process, session): (&Name, Option<u64>),
+        (change, decision): (&Change, Decision),
         report: &Report,
     ) -> Result<Vec<After>, Refusal> {
         let (mut loose, mut is_over) = (Vec::new(), false);
@@ -108,6 +108,7 @@ impl Gcm {
                 return;
             }
             let is_newest = sessions.is_newest(report);
+            sessions.is_set_by(change, decision);
             drop(sessions);
             let known = graph.components.get(&report.id).cloned();
             let revision = graph.revision;

@@ -10,7 +10,8 @@ use tokio::sync::{mpsc, oneshot};
 use trocar_lcm_api::{Decision, Lcm, Report};
 use trocar_links::Card;
 use trocar_model::{
-    Component, ComponentId, Connection, Health, Name, ProcessState, Refusal, State, SystemGraph, Target,
+    Change, Component, ComponentId, Connection, Health, Name, ProcessState, Refusal, State, SystemGraph,
+    Target,
 };
 
 use super::guest_lcm::GuestLcm;
@@ -106,6 +107,8 @@ pub(super) struct Sessions {
     pub(super) connecting: BTreeSet<u64>,
     /// Number of the newest report of each component; see [`Report::number`].
     reported: BTreeMap<ComponentId, u64>,
+    /// Decisions by which components have their settings, as this GCM has entered them.
+    set_by: BTreeMap<ComponentId, Decision>,
 }
 
 /// Stops that could not be told: each target with the last decision that named it, by which nothing is
@@ -142,6 +145,22 @@ impl Sessions {
         let known = wanted.processes.iter();
         let last = known.map(|(name, held)| (name.clone(), (held.instance, held.epoch))).collect();
         Sessions { last, ..Sessions::default() }
+    }
+
+    /// Notes by which decision a component has its settings.
+    pub(super) fn is_set_by(&mut self, change: &Change, decision: Decision) {
+        match change {
+            Change::Create { id, .. } | Change::Configure { id, .. } => {
+                _ = self.set_by.insert(id.clone(), decision)
+            }
+            Change::Destroy { id, .. } => _ = self.set_by.remove(id),
+            Change::Run { .. } | Change::Connect { .. } | Change::Disconnect { .. } => {}
+        }
+    }
+
+    /// Tells whether a component was given settings by a later decision than that one.
+    pub(super) fn is_set_since(&self, id: &ComponentId, decision: Decision) -> bool {
+        self.set_by.get(id).is_some_and(|by| *by > decision)
     }
 
     /// Tells whether this report was looked up later than all that were entered before. News and answers come

@@ -496,7 +496,12 @@ impl Lcm for ModelLcm {
         let here = |port: &PortId| port.component.process == self.name;
         let end = if here(&connection.client) { End::Client } else { End::Server };
         let (making, mut made) = watch::channel(());
-        self.has.lock().linking.insert(connection.id.0, making);
+        {
+            let mut has = self.has.lock();
+            // Its place is taken at once.
+            has.halves.remove(&connection.id.0);
+            has.linking.insert(connection.id.0, making);
+        }
         let gone = || Refusal::ConnectionNotFound { asked: connection.id.0.to_string(), known: Vec::new() };
         let by = Order::from(deadline);
         let worked = tokio::select! {
