@@ -117,6 +117,9 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
         });
         if let Some(place) = &args.store {
             line["store"] = place.to_string().into();
+            if let Some(advertise) = &args.advertise {
+                line["advertise"] = advertise.as_str().into();
+            }
         }
         say_to_keeper(&line.to_string());
         out::line(&line.to_string());
@@ -125,10 +128,8 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
         if let Some(place) = &args.store {
             out::line(&format!("  one among several: the journal is at {place}"));
         }
-        out::line(&format!(
-            "  attach hosts: trocar host --gcm {} --listen 127.0.0.1:0 --name NAME",
-            hosting::address(&host)
-        ));
+        let reached = args.advertise.unwrap_or_else(|| hosting::address(&host));
+        out::line(&format!("  attach hosts: trocar host --gcm {reached} --listen 127.0.0.1:0 --name NAME"));
         out::line(&format!("  viewer {}", hosting::viewer(&hosting::address(&host))));
     }
     hosting::until_stopped(host, stop).await

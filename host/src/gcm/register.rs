@@ -75,7 +75,9 @@ impl Gcm {
         log::info!("process {} {back_word} (epoch {epoch}, pid {})", who.process, who.pid);
         if taken.is_brought && who.guest.is_empty() {
             self.bring(&who.process, seen);
-            taken.owed.extend(self.stopped_before(&who.process, seen));
+            let owed = self.stopped_before(&who.process, seen);
+            taken.owed.retain(|(id, _)| !owed.iter().any(|(other, _)| other == id));
+            taken.owed.extend(owed);
         }
         self.join_wires(taken.joined);
         self.cut_off(taken.loose);

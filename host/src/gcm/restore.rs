@@ -100,10 +100,12 @@ impl Gcm {
         self.link_missing(process).await;
     }
 
-    /// Tells whether a component is of the class that it is to be of: its plugin may be another one since.
-    fn is_of_its_class(&self, id: &ComponentId) -> bool {
-        let class = self.graph().components.get(id).map(|component| component.class.clone());
-        class == self.inner.ledger.wanted().components.get(id).map(|component| component.class.clone())
+    /// Tells whether a component that was made is of the class that is on record: its plugin may be another
+    /// one since.
+    fn is_as_decided(&self, made: &Change) -> bool {
+        let (id, graph) = (id_of(made), self.graph());
+        let class = graph.components.get(id).map(|component| &component.class);
+        self.inner.ledger.wanted().components.get(id).map(|component| &component.class) == class
     }
 
     /// Puts on record what was made again: of which classes it is, and by which grants it runs.
@@ -142,13 +144,17 @@ impl Gcm {
     ) -> Option<Away> {
         let (process, session, mut away) = (&back.process, back.session, Away::default());
         self.skipped(plan, here, &mut away);
+        // What is to run, and does not yet, is no more than what was wanted before: the next GCM goes on from
+        // there.
         let mut to_start: BTreeSet<&ComponentId> = plan.changes.iter().filter_map(started).collect();
+        let mut made = Vec::new();
         for change in &plan.changes {
             if !self.hears(process, session) {
                 return None;
             }
             if let Some(id) = started(change) {
                 to_start.remove(id);
+                made_again.extend(made.extract_if(.., |made| id_of(made) == id));
             }
             // The change is made when that process has its components again.
             if self.awaits(change, process) || self.is_idle(change, &mut away) {
@@ -168,19 +174,16 @@ impl Gcm {
                 done = carrying.one_of(change, decision, deadline) => done,
             };
             match done {
+                Ok(_)
+                    if is_made(change) && to_start.contains(id_of(change)) && self.is_as_decided(change) =>
+                {
+                    made.push(change.clone());
+                }
                 Ok(_) => {
                     made_again.push(change.clone());
-                    // One that is made and not configured yet, or is to run and does not yet, is no more than
-                    // what was wanted before: the next GCM goes on from there.
+                    // One that is made and not configured yet is no more than what was wanted before.
                     if !matches!(change, Change::Create { .. }) {
-                        let (waits, mut now): (Vec<_>, Vec<_>) =
-                            std::mem::take(made_again).into_iter().partition(|change| {
-                                is_made(change)
-                                    && to_start.contains(id_of(change))
-                                    && self.is_of_its_class(id_of(change))
-                            });
-                        *made_again = waits;
-                        self.made_again(&mut now, back);
+                        self.made_again(made_again, back);
                     }
                 }
                 Err(Refusal::ProcessLost { .. }) if !self.hears(process, session) => return None,

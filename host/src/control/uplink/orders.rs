@@ -385,3 +385,40 @@ async fn follow(
     }
     give(&answers, id, Ok(A::Ended(v1::Ended {}))).await;
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::sync::Arc;
+
+    use serde_json::Value;
+    use trocar_model::{Component, ConnectOptions, Connection, ConnectionId, Execution, Health, PortId};
+
+    use super::*;
+    use crate::gcm::fake::class;
+
+    #[test]
+    fn connections_go_with_a_component_that_is_removed() {
+        let port = |path: &str| PortId::parse(path).unwrap();
+        let mut told = SystemGraph::default();
+        for (number, client, server) in
+            [(1, "a/x/in", "a/y/out"), (2, "a/y/in", "b/x/out"), (3, "a/z/in", "b/x/out")]
+        {
+            let (id, options) = (ConnectionId(number), ConnectOptions::default());
+            told.connections
+                .insert(id, Connection { id, client: port(client), server: port(server), options });
+        }
+        let component = Box::new(Component {
+            ports: Arc::new(class().ports.clone()),
+            class: class(),
+            config: Value::Null,
+            execution: Execution::default(),
+            state: State::Ready,
+            health: Health::Ok,
+            fault: String::new(),
+        });
+        let gone = Change::Destroy { id: ComponentId::parse("a/y").unwrap(), component };
+        goes_with(&mut told, &gone);
+        assert_eq!(told.connections.keys().map(|id| id.0).collect::<Vec<_>>(), [3]);
+    }
+}

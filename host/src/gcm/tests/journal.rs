@@ -234,6 +234,30 @@ async fn a_gcm_that_knows_less_than_a_process_learns_from_it() {
 }
 
 #[tokio::test]
+async fn what_was_stopped_before_its_process_was_known_is_stopped_when_it_comes() {
+    let first = gcm_with(&Kept::default()).await;
+    let mut host = Process::come(&first, "host").await;
+    ask(&first, vec![create("host/a"), create("host/b"), start("host/*")]).await.unwrap();
+    host.was_told(&first.graph());
+    host.who.revision = first.graph().revision;
+    drop(first);
+    let store = Kept::default();
+    let second = gcm_with(&store).await;
+    for _ in 0..20 {
+        assert_eq!(ask(&second, vec![stop("host/a")]).await.unwrap_err().reason(), "PROCESS_NOT_FOUND");
+    }
+    host.is_back(&second).await;
+    until(&second, "it is stopped", |_| host.lcm.state("host/a") == Some(STOPPED)).await;
+    assert_eq!(host.lcm.state("host/b"), Some(State::Active), "nobody has stopped it");
+    all_run().await;
+    second.flush().await;
+    assert_eq!(store.wanted().components[&id("host/a")].grant, None);
+    assert!(store.wanted().components[&id("host/b")].grant.is_some());
+    ask(&second, vec![start("host/a")]).await.unwrap();
+    assert_eq!(host.lcm.state("host/a"), Some(State::Active));
+}
+
+#[tokio::test]
 async fn a_store_that_is_full_keeps_nobody_waiting_and_misses_nothing_later() {
     let store = Kept::default();
     let gcm = gcm_with(&store).await;

@@ -51,6 +51,23 @@ async fn what_is_made_late_and_was_accepted_meanwhile_stays() {
 }
 
 #[tokio::test]
+async fn settings_that_are_taken_late_count_unless_others_were_given_since() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+    let change = planned(&gcm, &configure("host/a"));
+    let config = || gcm.graph().components[&id("host/a")].config.clone();
+    let before = config();
+    // The first was ordered before it was made anew, the second is the last word.
+    for (decision, as_told) in [(Decision::NONE, false), (Decision::MOST, true)] {
+        let has = lcm.inventory().await.unwrap().components.remove(0);
+        lcm.news.send(News::Late(Box::new(change.clone()), decision, has)).unwrap();
+        gcm.hear_out(&name("host")).await;
+        super::journal::all_run().await;
+        assert_eq!(config() != before, as_told, "{decision:?}");
+    }
+}
+
+#[tokio::test]
 async fn what_is_removed_late_is_gone_with_its_connections_and_a_new_revision() {
     let (gcm, lcm) = system().await;
     ask(&gcm, vec![create("host/a"), create("host/b"), connect("host/a/robot", "host/b/arm")]).await.unwrap();

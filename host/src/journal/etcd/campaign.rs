@@ -117,6 +117,8 @@ impl Candidate {
     }
 
     async fn campaigned(&self) -> Res<Campaign> {
+        // Before all: an attempt of before may be done after this read, and begin the lead.
+        let sent = clock::now();
         let both = || vec![get(self.keys.leader()), get(self.keys.term())];
         let (leader, last) = pair(self.client.txn(txn(Vec::new(), both(), Vec::new()), WITHIN).await?.ranges);
         let (last, counted) = match &last {
@@ -136,7 +138,7 @@ impl Candidate {
                 return Ok(Campaign::Follows { leader, beats });
             }
         }
-        let (term, sent) = (last + 1, clock::now());
+        let term = last + 1;
         let found = leader.map_or(0, |leader| leader.mod_revision);
         let compare = vec![changed_at(self.keys.leader(), found), changed_at(self.keys.term(), counted)];
         let puts = vec![self.mark(term)?, put(self.keys.term(), term.to_string().into_bytes())];
