@@ -33,6 +33,16 @@ pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tok
     Ok(with_token(endpoint.connect().await?))
 }
 
+/// Connects by TCP to `http://HOST:PORT`, for a call that may be silent for long: a listener that stands
+/// still is found out by pings.
+///
+/// # Errors
+/// No address, no listener there, or no answer in time.
+pub(super) async fn dial_pinged(uri: &str, within: Duration) -> Result<Tokened, Error> {
+    let endpoint = Endpoint::from_shared(uri.to_owned())?.connect_timeout(within).tcp_nodelay(true);
+    Ok(with_token(pinged(endpoint).connect().await?))
+}
+
 fn pinged(endpoint: Endpoint) -> Endpoint {
     endpoint.http2_keep_alive_interval(QUIET).keep_alive_timeout(ANSWERS)
 }

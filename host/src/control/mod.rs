@@ -25,7 +25,7 @@ mod web;
 #[cfg(test)]
 mod tests;
 
-pub use attach::{AttachEdge, Outbound};
+pub use attach::{AttachEdge, FeedOutbound, Outbound};
 pub use caller::{PortRules, Tokened, Viewer};
 pub use dial::dial;
 pub use leader::{Leader, addresses, find_leader};
@@ -33,4 +33,6 @@ pub use seat::Seat;
 pub(crate) use serve::JOURNAL;
 pub use serve::{ServeConfig, ServeError, Server};
 pub use services::GcmServices;
-pub use uplink::{Begin, Inbound, Line, Refused, Uplink, UplinkError, Way};
+pub use uplink::{
+    Begin, FeedInbound, FeedOutgoing, Feeder, Inbound, Line, Refused, Uplink, UplinkError, Way,
+};

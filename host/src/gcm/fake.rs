@@ -326,6 +326,12 @@ impl FakeLcm {
         }
     }
 
+    /// Gives a picture of so many bytes to the followers that take it now; true: somebody did.
+    pub(crate) fn show(&self, bytes: usize) -> bool {
+        let picture = Item { kind: ItemKind::Stream, jpeg: vec![7; bytes], ..event("gui/a/frames", 1) };
+        self.feeds.lock().iter().filter(|feed| feed.try_send(picture.clone()).is_ok()).count() > 0
+    }
+
     /// Waits for the n-th subscription.
     pub(crate) async fn followed(&self, times: usize) {
         self.followed.subscribe().wait_for(|n| *n >= times).await.unwrap();

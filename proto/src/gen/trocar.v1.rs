@@ -4958,6 +4958,49 @@ pub struct Hello {
     /// and learns from the slice.
     #[prost(uint64, tag = "8")]
     pub revision: u64,
+    /// True: it opens a Feed once it is registered.
+    #[prost(bool, tag = "9")]
+    pub feeds: bool,
+}
+/// From the LCM, beside its Attach.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct FeedRequest {
+    /// The message.
+    #[prost(oneof = "feed_request::Message", tags = "1, 2")]
+    pub message: ::core::option::Option<feed_request::Message>,
+}
+/// Nested message and enum types in `FeedRequest`.
+pub mod feed_request {
+    /// The message.
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Message {
+        /// First message of the stream.
+        #[prost(message, tag = "1")]
+        Hello(super::FeedHello),
+        /// Answer to an order.
+        #[prost(message, tag = "2")]
+        Answer(super::Answer),
+    }
+}
+/// First message of a Feed: which process it belongs to.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct FeedHello {
+    /// Name of the process.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// Random, 16 bytes, as in its Hello.
+    #[prost(bytes = "vec", tag = "2")]
+    pub instance: ::prost::alloc::vec::Vec<u8>,
+    /// The number it was given when it was registered.
+    #[prost(uint64, tag = "3")]
+    pub epoch: u64,
+}
+/// From the GCM, to a process that is attached.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct FeedResponse {
+    /// A question: read, subscribe, unsubscribe, details or links.
+    #[prost(message, optional, tag = "1")]
+    pub order: ::core::option::Option<Order>,
 }
 /// The process was accepted.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -5745,6 +5788,33 @@ pub mod attach_service_client {
                 .insert(GrpcMethod::new("trocar.v1.AttachService", "Attach"));
             self.inner.streaming(req, path, codec).await
         }
+        /// Carries what may be large or much for a process that is attached: followed values and pictures, and
+        /// figures. The LCM opens it on a connection of its own, so that orders and heartbeats of Attach never
+        /// wait behind them.
+        pub async fn feed(
+            &mut self,
+            request: impl tonic::IntoStreamingRequest<Message = super::FeedRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::FeedResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AttachService/Feed",
+            );
+            let mut req = request.into_streaming_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AttachService", "Feed"));
+            self.inner.streaming(req, path, codec).await
+        }
         /// Reports how a supervisor's processes stand. The same report may come any number of times.
         pub async fn tell(
             &mut self,
@@ -5821,6 +5891,19 @@ pub mod attach_service_server {
             &self,
             request: tonic::Request<tonic::Streaming<super::AttachRequest>>,
         ) -> std::result::Result<tonic::Response<Self::AttachStream>, tonic::Status>;
+        /// Server streaming response type for the Feed method.
+        type FeedStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::FeedResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Carries what may be large or much for a process that is attached: followed values and pictures, and
+        /// figures. The LCM opens it on a connection of its own, so that orders and heartbeats of Attach never
+        /// wait behind them.
+        async fn feed(
+            &self,
+            request: tonic::Request<tonic::Streaming<super::FeedRequest>>,
+        ) -> std::result::Result<tonic::Response<Self::FeedStream>, tonic::Status>;
         /// Reports how a supervisor's processes stand. The same report may come any number of times.
         async fn tell(
             &self,
@@ -5951,6 +6034,52 @@ pub mod attach_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = AttachSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.AttachService/Feed" => {
+                    #[allow(non_camel_case_types)]
+                    struct FeedSvc<T: AttachService>(pub Arc<T>);
+                    impl<
+                        T: AttachService,
+                    > tonic::server::StreamingService<super::FeedRequest>
+                    for FeedSvc<T> {
+                        type Response = super::FeedResponse;
+                        type ResponseStream = T::FeedStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<tonic::Streaming<super::FeedRequest>>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AttachService>::feed(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = FeedSvc(inner);
                         let codec = tonic_prost::ProstCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(

@@ -3,7 +3,9 @@
 //! Invariant: a process is heard exactly as long as its stream lasts; when the stream ends, every waiting
 //! caller is answered.
 
+mod feeds;
 mod remote;
+mod road;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,6 +20,8 @@ use trocar_proto::v1;
 use trocar_proto::v1::attach_service_server::AttachService;
 use trocar_proto::v1::{attach_request, attach_response};
 
+pub use self::feeds::FeedOutbound;
+use self::feeds::Feeds;
 use self::remote::{Outgoing, RemoteLcm, message};
 use super::convert;
 use super::status::status;
@@ -43,6 +47,7 @@ pub type Outbound = ReceiverStream<Result<v1::AttachResponse, Status>>;
 /// The GCM's half of Attach.
 pub struct AttachEdge {
     gcm: Gcm,
+    feeds: Feeds,
     /// Ends when the port closes.
     open: watch::Receiver<()>,
 }
@@ -50,7 +55,7 @@ pub struct AttachEdge {
 impl AttachEdge {
     /// Takes processes in for a GCM until the sender of `open` is dropped.
     pub fn new(gcm: Gcm, open: watch::Receiver<()>) -> Self {
-        AttachEdge { gcm, open }
+        AttachEdge { gcm, feeds: Feeds::default(), open }
     }
 
     /// Hears a process over the messages that it sends; returns those to it.
@@ -101,8 +106,12 @@ impl AttachEdge {
             guest: String::new(),
             comes_again: true,
         };
-        let lcm = RemoteLcm::new(process.clone(), out.clone());
+        let (instance, feeds) = (who.instance, hello.feeds);
+        let lcm = RemoteLcm::new(process.clone(), out.clone(), feeds);
         let registered = self.gcm.register(who, lcm.clone(), inventory).await?;
+        if feeds {
+            self.feeds.expect(&process, (instance, registered.epoch), &lcm);
+        }
         Ok(Attached { gcm: self.gcm.clone(), process, lcm, registered })
     }
 }
@@ -116,6 +125,16 @@ impl AttachService for AttachEdge {
         request: Request<Streaming<v1::AttachRequest>>,
     ) -> Result<Response<Self::AttachStream>, Status> {
         Ok(Response::new(self.hear(request.into_inner()).await?))
+    }
+
+    type FeedStream = FeedOutbound;
+
+    async fn feed(
+        &self,
+        request: Request<Streaming<v1::FeedRequest>>,
+    ) -> Result<Response<Self::FeedStream>, Status> {
+        let fed = self.feeds.hear(request.into_inner(), self.open.clone()).await;
+        Ok(Response::new(fed.map_err(|refusal| status(&refusal))?))
     }
 
     type SuperviseStream = ReceiverStream<Result<v1::SuperviseResponse, Status>>;

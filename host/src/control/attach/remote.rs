@@ -19,6 +19,7 @@ use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
+use super::road::{Beside, FeedOutgoing, Road};
 use crate::control::convert;
 use crate::lcm::{
     Decision, Detail, Halted, Inventory, Invoke, Item, Lcm, LinkDetail, News, Order, PluginInfo, RemoteEnd,
@@ -40,6 +41,7 @@ pub(super) type Outgoing = mpsc::Sender<Result<v1::AttachResponse, Status>>;
 pub(super) struct RemoteLcm {
     process: Name,
     next: AtomicU64,
+    beside: Beside,
     /// `None` once the stream is gone.
     link: Arc<Mutex<Option<Link>>>,
 }
@@ -52,8 +54,8 @@ struct Link {
 
 enum Waiting {
     /// An order to follow something brings the feed it will fill.
-    Answer(oneshot::Sender<A>, Option<Feed>),
-    Feed(Feed),
+    Answer(oneshot::Sender<A>, Road, Option<Feed>),
+    Feed(Feed, Road),
     /// A change whose caller has given it up.
     Late(Change, Decision),
 }
@@ -91,9 +93,32 @@ impl Drop for Forget<'_> {
 }
 
 impl RemoteLcm {
-    pub(super) fn new(process: Name, out: Outgoing) -> Arc<RemoteLcm> {
+    /// `feeds`: it opens a Feed as well.
+    pub(super) fn new(process: Name, out: Outgoing, feeds: bool) -> Arc<RemoteLcm> {
         let link = Link { out, news: broadcast::Sender::new(NEWS), waiting: HashMap::new() };
-        Arc::new(RemoteLcm { process, next: AtomicU64::new(1), link: Arc::new(Mutex::new(Some(link))) })
+        let (next, link) = (AtomicU64::new(1), Arc::new(Mutex::new(Some(link))));
+        Arc::new(RemoteLcm { process, next, beside: Beside::new(feeds), link })
+    }
+
+    /// Sends questions over this Feed from now on; returns its number.
+    pub(super) fn feeds_over(&self, out: FeedOutgoing) -> u64 {
+        self.beside.open(out)
+    }
+
+    /// Answers what was asked over the Feed of this number, which has ended.
+    pub(super) fn feed_ended(&self, number: u64) {
+        self.beside.close(number);
+        let Some(link) = &mut *self.link.lock() else { return };
+        let over = |waiting: &Waiting| match waiting {
+            Waiting::Answer(_, road, _) | Waiting::Feed(_, road) => road.is_feed(number),
+            Waiting::Late(..) => false,
+        };
+        for (_, waiting) in link.waiting.extract_if(|_, waiting| over(waiting)) {
+            match waiting {
+                Waiting::Answer(_, _, Some(feed)) | Waiting::Feed(feed, _) => feed.end(),
+                Waiting::Answer(_, _, None) | Waiting::Late(..) => {}
+            }
+        }
     }
 
     /// Something arrived on the stream.
@@ -125,20 +150,21 @@ impl RemoteLcm {
         Refusal::lost(self.process.clone())
     }
 
-    fn answered(&self, answer: v1::Answer) {
+    /// An answer arrived, over whichever stream.
+    pub(super) fn answered(&self, answer: v1::Answer) {
         let mut guard = self.link.lock();
         let Some(link) = guard.as_mut() else { return };
         let Some(what) = answer.answer else { return };
         match (what, link.waiting.remove(&answer.id)) {
-            (A::Item(item), Some(Waiting::Feed(mut feed))) => {
+            (A::Item(item), Some(Waiting::Feed(mut feed, road))) => {
                 feed.give(item);
-                link.waiting.insert(answer.id, Waiting::Feed(feed));
+                link.waiting.insert(answer.id, Waiting::Feed(feed, road));
             }
-            (what, Some(Waiting::Answer(tell, feed))) => {
+            (what, Some(Waiting::Answer(tell, road, feed))) => {
                 match (&what, feed) {
                     // The items behind this answer must find their feed.
                     (A::Subscribed(_), Some(feed)) => {
-                        link.waiting.insert(answer.id, Waiting::Feed(feed));
+                        link.waiting.insert(answer.id, Waiting::Feed(feed, road));
                     }
                     (_, Some(feed)) => feed.end(),
                     (_, None) => {}
@@ -146,7 +172,7 @@ impl RemoteLcm {
                 // The caller may have given up meanwhile.
                 let _ = tell.send(what);
             }
-            (_, Some(Waiting::Feed(feed))) => feed.end(),
+            (_, Some(Waiting::Feed(feed, _))) => feed.end(),
             (A::Report(report), Some(Waiting::Late(change, decision))) => match convert::report_in(report) {
                 // The GCM that listens may just be letting go.
                 Ok(report) => _ = link.news.send(News::Late(Box::new(change), decision, report)),
@@ -160,47 +186,60 @@ impl RemoteLcm {
     }
 
     async fn ask(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
-        self.ask_for(self.number(), (order, None), deadline.into(), what, None).await
+        self.ask_for(self.number(), (order, None), deadline.into(), what, (None, None)).await
+    }
+
+    /// Asks over the Feed, where there is one: the answer may be large.
+    async fn ask_beside(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
+        let road = self.beside.road().await;
+        self.ask_for(self.number(), (order, None), deadline.into(), what, (road, None)).await
     }
 
     /// Orders a change.
     async fn change(&self, asked: O, change: &Change, order: Order, what: &str) -> Result<Report, Refusal> {
-        match self.ask_for(self.number(), (asked, Some(change)), order, what, None).await? {
+        match self.ask_for(self.number(), (asked, Some(change)), order, what, (None, None)).await? {
             A::Report(report) => convert::report_in(report),
             _ => wrong(),
         }
     }
 
+    /// `road`: the stream it goes by, if not Attach.
     async fn ask_for(
         &self,
         id: u64,
         (asked, change): (O, Option<&Change>),
         Order { deadline, decision, .. }: Order,
         what: &str,
-        feed: Option<Feed>,
+        (road, feed): (Option<Road>, Option<Feed>),
     ) -> Result<A, Refusal> {
         let (tell, told) = oneshot::channel();
-        let out = {
+        let road = {
             let mut guard = self.link.lock();
             let link = guard.as_mut().ok_or_else(|| self.lost())?;
-            link.waiting.insert(id, Waiting::Answer(tell, feed));
-            link.out.clone()
+            let road = road.unwrap_or_else(|| Road::Attach(link.out.clone()));
+            link.waiting.insert(id, Waiting::Answer(tell, road.clone(), feed));
+            road
         };
+        let late = || Refusal::LcmTimeout { process: self.process.clone(), what: what.to_owned() };
         let mut forget = Forget { lcm: self, id, change, decision, is_sent: false };
         let left = deadline.saturating_duration_since(clock::now()).saturating_sub(WAY);
         let deadline_ns = u64::try_from(left.as_nanos()).unwrap_or(u64::MAX);
         let Decision(decision) = decision;
         let order = v1::Order { id, deadline_ns, decision, order: Some(asked) };
-        let order = attach_response::Message::Order(order);
         let exchange = async {
-            out.send(Ok(message(order))).await.map_err(|_| self.lost())?;
+            if !road.send(order).await {
+                return None;
+            }
             forget.is_sent = true;
-            told.await.map_err(|_| self.lost())
+            told.await.ok()
         };
         match tokio::time::timeout_at(deadline.into(), exchange).await {
-            Ok(Ok(A::Refused(info))) => Err(convert::refusal(&info)),
-            Ok(answer) => answer,
-            Err(_) => Err(Refusal::LcmTimeout { process: self.process.clone(), what: what.to_owned() }),
+            Ok(Some(A::Refused(info))) => Err(convert::refusal(&info)),
+            Ok(Some(answer)) => Ok(answer),
+            // A Feed may end while its process goes on.
+            Ok(None) if self.link.lock().is_some() && matches!(road, Road::Feed(..)) => Err(late()),
+            Ok(None) => Err(self.lost()),
+            Err(_) => Err(late()),
         }
     }
 
@@ -210,6 +249,10 @@ impl RemoteLcm {
 
     async fn question(&self, order: O, what: &str) -> Result<A, Refusal> {
         self.ask(order, clock::now() + WITHIN, what).await
+    }
+
+    async fn question_beside(&self, order: O, what: &str) -> Result<A, Refusal> {
+        self.ask_beside(order, clock::now() + WITHIN, what).await
     }
 }
 
@@ -224,7 +267,7 @@ pub(super) fn message(message: attach_response::Message) -> v1::AttachResponse {
 /// not outlive the feed, or the receiver would never end.
 async fn mind(
     link: Arc<Mutex<Option<Link>>>,
-    id: u64,
+    (id, road): (u64, Road),
     tell: mpsc::Sender<Item>,
     ended: oneshot::Receiver<()>,
 ) {
@@ -233,14 +276,14 @@ async fn mind(
         by_process = ended => if by_process.is_ok() { return },
         () = tell.closed() => {}
     }
-    let out = link.lock().as_mut().map(|link| {
-        link.waiting.remove(&id);
-        link.out.clone()
-    });
-    // Without a stream there is nothing to unsubscribe from.
-    let Some(out) = out else { return };
+    match &mut *link.lock() {
+        Some(link) => _ = link.waiting.remove(&id),
+        // Without a process there is nothing to unsubscribe from.
+        None => return,
+    }
     let order = v1::Order { order: Some(O::Unsubscribe(id)), ..v1::Order::default() };
-    let _ = out.send(Ok(message(attach_response::Message::Order(order)))).await;
+    // A stream that has ended followed nothing any more.
+    road.send(order).await;
 }
 
 impl Feed {
@@ -290,7 +333,7 @@ impl Lcm for RemoteLcm {
 
     async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
         let asked = (O::Stop(convert::stop_out(&stop)), None);
-        match self.ask_for(self.number(), asked, order, "a Stop", None).await? {
+        match self.ask_for(self.number(), asked, order, "a Stop", (None, None)).await? {
             A::Halted(halted) => convert::halted_in(halted),
             _ => wrong(),
         }
@@ -326,7 +369,7 @@ impl Lcm for RemoteLcm {
     ) -> Result<Sample, Refusal> {
         let what = format!("reading {path}");
         let order = O::Read(v1::ReadRequest { path, row: convert::row(when), frame });
-        match self.ask(order, deadline, &what).await? {
+        match self.ask_beside(order, deadline, &what).await? {
             A::Sample(sample) => Ok(convert::sample_in(sample)),
             _ => wrong(),
         }
@@ -339,9 +382,18 @@ impl Lcm for RemoteLcm {
         let id = self.number();
         let feed = Feed { tell: tell.clone(), lost: 0, over };
         let order = O::Subscribe(v1::SubscribeRequest { selections });
-        tokio::spawn(mind(self.link.clone(), id, tell, ended));
+        let road = match self.beside.road().await {
+            Some(road) => road,
+            None => self
+                .link
+                .lock()
+                .as_ref()
+                .map(|link| Road::Attach(link.out.clone()))
+                .ok_or_else(|| self.lost())?,
+        };
+        tokio::spawn(mind(self.link.clone(), (id, road.clone()), tell, ended));
         let within = (clock::now() + WITHIN).into();
-        match self.ask_for(id, (order, None), within, "a subscription", Some(feed)).await? {
+        match self.ask_for(id, (order, None), within, "a subscription", (Some(road), Some(feed))).await? {
             A::Subscribed(_) => Ok(told),
             _ => wrong(),
         }
@@ -349,14 +401,14 @@ impl Lcm for RemoteLcm {
 
     async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
         let order = v1::DetailsOrder { paths: ids.iter().map(ToString::to_string).collect() };
-        match self.question(O::Details(order), "the figures of its components").await? {
+        match self.question_beside(O::Details(order), "the figures of its components").await? {
             A::Details(told) => told.components.into_iter().map(convert::detail_in).collect(),
             _ => wrong(),
         }
     }
 
     async fn links(&self) -> Result<Vec<LinkDetail>, Refusal> {
-        match self.question(O::Links(v1::LinksOrder {}), "the figures of its connections").await? {
+        match self.question_beside(O::Links(v1::LinksOrder {}), "the figures of its connections").await? {
             A::Links(links) => links.links.into_iter().map(convert::link_in).collect(),
             _ => wrong(),
         }
@@ -437,7 +489,7 @@ mod tests {
     #[tokio::test]
     async fn a_subscription_that_ended_leaves_nothing_whoever_ended_it_and_when() {
         let (out, mut orders) = mpsc::channel(4);
-        let lcm = RemoteLcm::new(name("far"), out);
+        let lcm = RemoteLcm::new(name("far"), out, false);
         // Taken, and let go of.
         let following = asked(&lcm);
         let (id, _) = numbered(orders.recv().await.unwrap());

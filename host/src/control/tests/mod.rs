@@ -4,6 +4,7 @@
 mod attach;
 mod edge;
 mod execution;
+mod feeds;
 mod refusals;
 mod video;
 mod waiting;

@@ -4,8 +4,10 @@
 //! Invariant: components run on without the GCM. The process says Hello again without waiting for what takes
 //! long: an order under way is given up with its session, and taken back.
 
+mod feed;
 mod lateness;
 mod orders;
+mod questions;
 mod session;
 #[cfg(test)]
 mod tests;
@@ -22,6 +24,7 @@ use tokio::task::JoinHandle;
 use trocar_lcm_api::clock;
 use trocar_model::Refusal;
 
+pub use self::feed::{FeedInbound, FeedOutgoing, Feeder};
 use self::lateness::Lateness;
 use self::orders::Told;
 use self::session::Session;

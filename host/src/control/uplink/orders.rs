@@ -6,26 +6,22 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use parking_lot::Mutex;
 use tokio::sync::oneshot::error::TryRecvError;
 use tokio::sync::{OwnedRwLockReadGuard, RwLock, mpsc, oneshot};
-use tokio::task::{AbortHandle, JoinSet};
 use trocar_lcm_api::clock;
-use trocar_model::{
-    Change, ComponentId, MemberId, Plan, Refusal, State, StopReason, SystemGraph, Verb, inverse,
-};
+use trocar_model::{Change, Plan, Refusal, State, StopReason, SystemGraph, Verb, inverse};
 use trocar_proto::v1;
 use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 
+use super::questions::{MOST, Questions, give};
 use crate::control::convert;
 use crate::gcm::{asked, id_of, is_so, observe};
-use crate::lcm::{Invoke, Lcm, Lease, Order, Report};
+use crate::lcm::{Lcm, Lease, Order, Report};
 
-/// Longest time an order may take.
-const MOST: Duration = Duration::from_secs(60);
 /// Time in which an order has begun.
 const BEGUN: Duration = Duration::from_millis(100);
 /// Time to take one back.
@@ -37,11 +33,9 @@ pub(super) type Told = Arc<Mutex<SystemGraph>>;
 pub(super) struct Orders {
     local: Local,
     answers: mpsc::Sender<v1::Answer>,
-    feeds: HashMap<u64, AbortHandle>,
+    questions: Questions,
     /// The last order that concerns each connection; closed when that is done.
     wires: HashMap<u64, oneshot::Receiver<()>>,
-    /// Feeds end with the session.
-    running: JoinSet<()>,
     lease: Lease,
 }
 
@@ -61,21 +55,13 @@ impl Orders {
         answers: mpsc::Sender<v1::Answer>,
         lease: Lease,
     ) -> Orders {
+        let questions = Questions::new(lcm.clone(), answers.clone());
         let local = Local { lcm, told, quiet };
-        Orders {
-            local,
-            answers,
-            feeds: HashMap::new(),
-            wires: HashMap::new(),
-            running: JoinSet::new(),
-            lease,
-        }
+        Orders { local, answers, questions, wires: HashMap::new(), lease }
     }
 
-    /// Forgets feeds that ended by themselves, and orders that are done.
+    /// Forgets orders that are done.
     fn forget_ended(&mut self) {
-        while self.running.try_join_next().is_some() {}
-        self.feeds.retain(|_, feed| !feed.is_finished());
         self.wires.retain(|_, last| last.try_recv() != Err(TryRecvError::Closed));
     }
 
@@ -95,7 +81,6 @@ impl Orders {
             Err(unread) => return give(&answers, id, Err(unread)).await,
         };
         let by = Order { deadline, decision, lease: self.lease.clone() };
-        let lcm = local.lcm.clone();
         // The tasks are not the session's: what has begun is finished, or taken back, without it.
         match order.order {
             Some(O::Apply(change)) => {
@@ -131,22 +116,7 @@ impl Orders {
                     give(&answers, id, local.stop(stop, by).await.map(A::Halted)).await;
                 })
             }
-            Some(O::Subscribe(request)) => {
-                let feed = self.running.spawn(follow(lcm, id, request, answers));
-                self.feeds.insert(id, feed);
-            }
-            Some(O::Unsubscribe(feed)) => {
-                if let Some(feed) = self.feeds.remove(&feed) {
-                    feed.abort();
-                }
-            }
-            Some(other) => {
-                tokio::spawn(async move {
-                    let answer = ask(&lcm, other, deadline).await;
-                    give(&answers, id, answer).await;
-                });
-            }
-            None => give(&answers, id, Err(unknown())).await,
+            other => self.questions.answer(id, other, deadline).await,
         }
     }
 }
@@ -174,19 +144,6 @@ async fn come(turn: Option<Turn>) -> Option<oneshot::Sender<()>> {
         let _ = tokio::time::timeout(BEGUN, before).await;
     }
     Some(done)
-}
-
-fn unknown() -> Refusal {
-    Refusal::NotImplemented {
-        what: "this order".into(),
-        hint: "Run the same version of trocar in every process.".into(),
-    }
-}
-
-async fn give(answers: &mpsc::Sender<v1::Answer>, id: u64, answer: Result<A, Refusal>) {
-    let answer = answer.unwrap_or_else(|refusal| A::Refused(convert::refusal_info(&refusal)));
-    // A session that has ended needs no answers.
-    let _ = answers.send(v1::Answer { id, answer: Some(answer) }).await;
 }
 
 impl Local {
@@ -327,72 +284,15 @@ fn way_back(change: &Change) -> Option<Change> {
     }
 }
 
-async fn ask(lcm: &Arc<dyn Lcm>, order: O, deadline: Instant) -> Result<A, Refusal> {
-    Ok(match order {
-        O::Invoke(r) => {
-            let call = Invoke {
-                member: MemberId::parse(&r.path)?,
-                arg: convert::payload(r.json, r.encoded),
-                send: r.send,
-                deadline_ns: r.deadline.as_ref().and_then(convert::duration_ns).unwrap_or(1_000_000_000),
-            };
-            A::Reply(convert::reply(lcm.invoke(call).await?))
-        }
-        O::Read(r) => {
-            A::Sample(convert::sample(lcm.read(r.path, convert::when(r.row), r.frame, deadline).await?))
-        }
-        O::Details(order) => {
-            let ids = order.paths.iter().map(|path| ComponentId::parse(path)).collect::<Result<_, _>>()?;
-            A::Details(convert::details(lcm.details(ids).await?))
-        }
-        O::Links(_) => {
-            A::Links(v1::Links { links: lcm.links().await?.into_iter().map(convert::link).collect() })
-        }
-        O::Plugins(_) => A::Plugins(v1::Plugins {
-            plugins: lcm.plugins().await?.into_iter().map(convert::plugin).collect(),
-        }),
-        O::Recheck(order) => A::Plugins(v1::Plugins {
-            plugins: lcm.recheck(&order.name, deadline).await?.into_iter().map(convert::plugin).collect(),
-        }),
-        O::Phases(order) => {
-            let given = convert::phases_in(order)?;
-            A::Steps(convert::steps_out(lcm.phases(given, deadline).await?))
-        }
-        O::Inventory(_) => A::Inventory(convert::inventory_out(&lcm.inventory().await?)),
-        O::Apply(_) | O::Link(_) | O::Stop(_) | O::Subscribe(_) | O::Unsubscribe(_) => return Err(unknown()),
-    })
-}
-
-async fn follow(
-    lcm: Arc<dyn Lcm>,
-    id: u64,
-    request: v1::SubscribeRequest,
-    answers: mpsc::Sender<v1::Answer>,
-) {
-    let selections: Result<Vec<_>, _> = request.selections.into_iter().map(convert::selection).collect();
-    let followed = match selections {
-        Ok(selections) => lcm.subscribe(selections).await,
-        Err(refusal) => Err(refusal),
-    };
-    let mut items = match followed {
-        Ok(items) => items,
-        Err(refusal) => return give(&answers, id, Err(refusal)).await,
-    };
-    give(&answers, id, Ok(A::Subscribed(v1::Subscribed {}))).await;
-    // While the stream is full the LCM drops items and counts them.
-    while let Some(item) = items.recv().await {
-        give(&answers, id, Ok(A::Item(convert::item(item)))).await;
-    }
-    give(&answers, id, Ok(A::Ended(v1::Ended {}))).await;
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use std::sync::Arc;
 
     use serde_json::Value;
-    use trocar_model::{Component, ConnectOptions, Connection, ConnectionId, Execution, Health, PortId};
+    use trocar_model::{
+        Component, ComponentId, ConnectOptions, Connection, ConnectionId, Execution, Health, PortId,
+    };
 
     use super::*;
     use crate::gcm::fake::class;

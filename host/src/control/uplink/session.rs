@@ -15,6 +15,7 @@ use trocar_lcm_api::clock;
 use trocar_model::Warnings;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
+use super::feed::feed;
 use super::lateness::Lateness;
 use super::orders::{Orders, Told};
 use super::way::{Inbound, Line, Refused};
@@ -24,7 +25,7 @@ use crate::gcm::Registration;
 use crate::lcm::{Lcm, Lease, News};
 
 /// Messages that may wait to be sent.
-const QUEUE: usize = 256;
+pub(super) const QUEUE: usize = 256;
 
 type Outgoing = mpsc::Sender<v1::AttachRequest>;
 
@@ -57,15 +58,18 @@ impl Session {
         // Subscribes before the inventory is taken, so that no news falls between.
         let news = lcm.news();
         let inventory = lcm.inventory().await.map_err(|refusal| Refused::Unheard(refusal.to_string()))?;
+        let feeder = line.feeder();
+        let instance = who.instance.to_be_bytes().to_vec();
         let hello = v1::Hello {
             process: who.process.to_string(),
-            instance: who.instance.to_be_bytes().to_vec(),
+            instance: instance.clone(),
             endpoint: who.endpoint.clone(),
             pid: who.pid,
             inventory: Some(convert::inventory_out(&inventory)),
             slice: Some(convert::slice_out(&who.slice)),
             epoch: who.epoch,
             revision: who.revision,
+            feeds: feeder.is_some(),
         };
         let (out, outgoing) = mpsc::channel(QUEUE);
         let unheard = |why: &str| Refused::Unheard(why.to_owned());
@@ -92,6 +96,10 @@ impl Session {
         };
         let (answer, answers) = mpsc::channel(QUEUE);
         let mut tasks = JoinSet::new();
+        if let Some(feeder) = feeder {
+            let hello = v1::FeedHello { process: who.process.to_string(), instance, epoch };
+            tasks.spawn(feed(feeder, hello, lcm.clone()));
+        }
         tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
         let (heard, lease) = watch::channel(clock::now());
         // By then the beats that were missed have ended the session, too.

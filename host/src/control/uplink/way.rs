@@ -15,9 +15,11 @@ use trocar_model::Refusal;
 use trocar_proto::v1;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
+use super::feed::{FeedInbound, FeedOutgoing, Feeder};
 use crate::control::attach::MAX_MESSAGE;
 use crate::control::caller::Tokened;
-use crate::control::leader::{Leader, addresses, find_leader};
+use crate::control::dial::dial_pinged;
+use crate::control::leader::{Leader, addresses, find_leader, innermost};
 
 /// Messages of a GCM, in the order in which it sent them.
 pub type Inbound = Pin<Box<dyn Stream<Item = Result<v1::AttachResponse, Status>> + Send>>;
@@ -52,6 +54,24 @@ pub trait Line: Send {
         self,
         outgoing: mpsc::Receiver<v1::AttachRequest>,
     ) -> impl Future<Output = Result<Inbound, Refused>> + Send;
+
+    /// Returns what opens a Feed beside it; `None`: the GCM asks everything over this line.
+    fn feeder(&self) -> Option<Feeder> {
+        None
+    }
+}
+
+/// A line over gRPC.
+pub(super) struct GrpcLine {
+    addr: String,
+    client: AttachServiceClient<Tokened>,
+    each: Duration,
+}
+
+fn client(channel: Tokened) -> AttachServiceClient<Tokened> {
+    AttachServiceClient::new(channel)
+        .max_decoding_message_size(MAX_MESSAGE)
+        .max_encoding_message_size(MAX_MESSAGE)
 }
 
 /// The way over gRPC.
@@ -82,7 +102,7 @@ impl Grpc {
 }
 
 impl Way for Grpc {
-    type Line = AttachServiceClient<Tokened>;
+    type Line = GrpcLine;
 
     /// A GCM that hung must not find the Hello of every abandoned attempt when it goes on: it is asked first.
     async fn dial(&self) -> Result<Self::Line, Refused> {
@@ -104,9 +124,7 @@ impl Way for Grpc {
         }
         found.term = leader.term;
         found.at = self.addrs.iter().position(|addr| *addr == leader.addr).unwrap_or(first);
-        Ok(AttachServiceClient::new(leader.channel)
-            .max_decoding_message_size(MAX_MESSAGE)
-            .max_encoding_message_size(MAX_MESSAGE))
+        Ok(GrpcLine { addr: leader.addr, client: client(leader.channel), each: self.each })
     }
 }
 
@@ -120,10 +138,26 @@ fn unheard(said: &[(String, String)]) -> Refused {
     })
 }
 
-impl Line for AttachServiceClient<Tokened> {
+impl Line for GrpcLine {
     async fn attach(mut self, outgoing: mpsc::Receiver<v1::AttachRequest>) -> Result<Inbound, Refused> {
-        let stream = AttachServiceClient::attach(&mut self, ReceiverStream::new(outgoing)).await;
+        let stream = self.client.attach(ReceiverStream::new(outgoing)).await;
         let inbound = stream.map_err(|e| Refused::Unheard(e.message().to_owned()))?;
         Ok(Box::pin(inbound.into_inner()))
+    }
+
+    fn feeder(&self) -> Option<Feeder> {
+        let (uri, each) = (format!("http://{}", self.addr), self.each);
+        Some(Box::new(move |outgoing| Box::pin(opened(uri.clone(), each, outgoing))))
+    }
+}
+
+async fn opened(uri: String, within: Duration, outgoing: FeedOutgoing) -> Result<FeedInbound, Refused> {
+    let channel = match dial_pinged(&uri, within).await {
+        Ok(channel) => channel,
+        Err(e) => return Err(Refused::Unheard(innermost(&e))),
+    };
+    match client(channel).feed(ReceiverStream::new(outgoing)).await {
+        Ok(stream) => Ok(Box::pin(stream.into_inner())),
+        Err(e) => Err(Refused::Unheard(e.message().to_owned())),
     }
 }
