@@ -19,6 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-sdk", &["trocar-sdk-derive", "trocar-plugin-api"]),
     ("trocar-rt", &["trocar-plugin-api"]),
     ("trocar-links", &["trocar-rt"]),
+    ("trocar-net", &[]),
     ("trocar-loader", &["trocar-model", "trocar-rt", "trocar-plugin-api"]),
     ("trocar-lcm-api", &["trocar-model", "trocar-links"]),
     (
@@ -40,6 +41,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "trocar-loader",
             "trocar-model",
             "trocar-links",
+            "trocar-net",
             "trocar-rt",
             "trocar-proto",
             "trocar-plugin-api",
@@ -47,7 +49,15 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     (
         "trocar-cli",
-        &["trocar", "trocar-loader", "trocar-model", "trocar-rt", "trocar-proto", "trocar-plugin-api"],
+        &[
+            "trocar",
+            "trocar-loader",
+            "trocar-model",
+            "trocar-net",
+            "trocar-rt",
+            "trocar-proto",
+            "trocar-plugin-api",
+        ],
     ),
     ("trocar-conform-classes", &["trocar-sdk"]),
     ("trocar-fft", &[]),

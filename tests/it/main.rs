@@ -28,6 +28,7 @@ mod fig4;
 mod guests;
 mod hostile;
 mod links;
+mod machines;
 mod odd_plugins;
 mod places;
 mod plugin_guide;

@@ -70,15 +70,22 @@ def name_of(heading):
     return "readme::" + re.sub(r"\W+", "_", heading.lower()).strip("_")
 
 
+def sources():
+    """What a newcomer finds in a fresh clone: not what was typed there since, such as the tour's files."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    if listed.returncode == 0:
+        return sorted({path.split("/")[0] for path in listed.stdout.split("\0") if path})
+    return sorted(entry.name for entry in ROOT.iterdir() if entry.name not in (".git", "target"))
+
+
 class Terminal:
     """A directory that looks like the sources, in a network of its own, and what was begun in it."""
 
     def __init__(self, directory):
         self.directory = directory
         self.staying = []
-        for entry in ROOT.iterdir():
-            if entry.name not in (".git", "target"):
-                (directory / entry.name).symlink_to(entry)
+        for name in sources():
+            (directory / name).symlink_to(ROOT / name)
         (directory / "target").mkdir()
         (directory / "target" / "release").symlink_to(BIN)
         self.env = {k: v for k, v in os.environ.items() if not k.startswith(("TROCAR_", "CARGO_"))}

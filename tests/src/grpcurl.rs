@@ -4,8 +4,10 @@
 //! script would.
 
 use std::collections::VecDeque;
+use std::ffi::OsString;
 use std::fmt;
 use std::io::BufReader;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
@@ -31,6 +33,8 @@ const REPEATABLE: [&str; 6] = [
 #[derive(Clone)]
 pub struct Grpcurl {
     address: String,
+    /// File of the identity it shows; none: plain text.
+    identity: Option<PathBuf>,
 }
 
 /// What grpcurl printed about an error.
@@ -50,7 +54,19 @@ pub struct Failure {
 impl Grpcurl {
     #[must_use]
     pub fn new(address: &str) -> Self {
-        Self { address: address.to_owned() }
+        Self { address: address.to_owned(), identity: None }
+    }
+
+    /// Shows the identity in this file, by TLS.
+    #[must_use]
+    pub fn showing(address: &str, identity: &Path) -> Self {
+        Self { address: address.to_owned(), identity: Some(identity.to_owned()) }
+    }
+
+    /// What it says of the way: plain text, or which files to show and to believe.
+    fn way(&self) -> Vec<OsString> {
+        let Some(file) = &self.identity else { return vec!["-plaintext".into()] };
+        ["-cacert", "-cert", "-key"].into_iter().flat_map(|what| [what.into(), file.into()]).collect()
     }
 
     /// One unary call, e.g. `("GcmService/Create", json!({…}))`; the package name is put before it.
@@ -133,14 +149,8 @@ impl Grpcurl {
     #[must_use]
     pub fn stream(&self, method: &str, body: &Value) -> Stream {
         let mut child = Command::new(Built::grpcurl())
-            .args([
-                "-plaintext",
-                "-emit-defaults",
-                "-d",
-                &body.to_string(),
-                &self.address,
-                &full_name(method),
-            ])
+            .args(self.way())
+            .args(["-emit-defaults", "-d", &body.to_string(), &self.address, &full_name(method)])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit())
@@ -161,7 +171,7 @@ impl Grpcurl {
 
     fn run(&self, options: &[&str], body: Option<&Value>, verb: &[&str]) -> std::process::Output {
         let mut command = Command::new(Built::grpcurl());
-        command.args(["-plaintext", "-max-time", &WATCHDOG_S.to_string()]).args(options);
+        command.args(self.way()).args(["-max-time", &WATCHDOG_S.to_string()]).args(options);
         if let Some(body) = body {
             command.args(["-d", &body.to_string()]);
         }

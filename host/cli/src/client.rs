@@ -15,7 +15,7 @@ use trocar_proto::v1::guest_service_client::GuestServiceClient;
 use trocar_proto::v1::interact_service_client::InteractServiceClient;
 use trocar_proto::v1::plugin_service_client::PluginServiceClient;
 
-use trocar::control::{Tokened, addresses, dial, find_leader};
+use trocar::control::{Dialler, Tokened, addresses, find_leader};
 use trocar::runtime_dir::Door;
 
 /// Time allowed for making a connection.
@@ -59,18 +59,19 @@ pub(super) struct Told {
 }
 
 impl Client {
-    /// Connects to `host:port` (a scheme and a missing port are filled in), by the socket beside it where
+    /// Connects to `host:port` (a missing port is filled in), by the socket beside it where
     /// there is one.
     ///
     /// # Errors
     /// A sentence: malformed address, no listener, no answer in 2 s.
-    pub(super) async fn connect(addr: &str, door: Door) -> Result<Self, String> {
-        let channel = dial(&uri(addr), Some(door), CONNECT).await.map_err(|e| match root_cause(&e) {
-            cause if cause.contains("invalid uri") || cause.contains("invalid authority") => {
-                "not an address; write HOST:PORT, e.g. 127.0.0.1:50551".to_owned()
-            }
-            cause => cause,
-        })?;
+    pub(super) async fn connect(dialler: &Dialler, addr: &str, door: Door) -> Result<Self, String> {
+        let channel =
+            dialler.dial(&uri(addr), Some(door), CONNECT).await.map_err(|e| match root_cause(&*e) {
+                cause if cause.contains("invalid uri") || cause.contains("invalid authority") => {
+                    "not an address; write HOST:PORT, e.g. 127.0.0.1:50551".to_owned()
+                }
+                cause => cause,
+            })?;
         Ok(Client::over(channel))
     }
 
@@ -78,16 +79,16 @@ impl Client {
     ///
     /// # Errors
     /// A sentence: what each of them said.
-    pub(super) async fn of_leader(addrs: &str) -> Result<Self, String> {
-        let each = addresses(addrs).iter().map(|addr| uri(addr).replace("http://", "")).collect::<Vec<_>>();
+    pub(super) async fn of_leader(dialler: &Dialler, addrs: &str) -> Result<Self, String> {
+        let each = addresses(addrs).iter().map(|addr| uri(addr)).collect::<Vec<_>>();
         // A GCM that has just ended has a successor within some seconds.
         for pause in [LOOK; LOOKS] {
-            if let Ok(leader) = find_leader(&each, Some(Door::Calls), CONNECT).await {
+            if let Ok(leader) = find_leader(dialler, &each, Some(Door::Calls), CONNECT).await {
                 return Ok(Client::over(leader.channel));
             }
             tokio::time::sleep(pause).await;
         }
-        match find_leader(&each, Some(Door::Calls), CONNECT).await {
+        match find_leader(dialler, &each, Some(Door::Calls), CONNECT).await {
             Ok(leader) => Ok(Client::over(leader.channel)),
             Err(said) => {
                 let all: Vec<String> = said.iter().map(|(addr, why)| format!("{addr}: {why}")).collect();
@@ -107,13 +108,18 @@ impl Client {
     }
 }
 
+/// `HOST:PORT`, with `https://` in front where that was said.
 fn uri(addr: &str) -> String {
-    let bare = addr.strip_prefix("http://").unwrap_or(addr).trim_end_matches('/');
+    let (scheme, bare) = match addr.strip_prefix("https://") {
+        Some(bare) => ("https://", bare),
+        None => ("", addr.strip_prefix("http://").unwrap_or(addr)),
+    };
+    let bare = bare.trim_end_matches('/');
     let has_port = bare
         .rsplit_once(':')
         .is_some_and(|(_, port)| !port.is_empty() && port.bytes().all(|b| b.is_ascii_digit()));
     let default_port = super::session::DEFAULT_GCM.rsplit_once(':').map_or("", |(_, port)| port);
-    if has_port { format!("http://{bare}") } else { format!("http://{bare}:{default_port}") }
+    if has_port { format!("{scheme}{bare}") } else { format!("{scheme}{bare}:{default_port}") }
 }
 
 /// The innermost error is the one that says something ("Connection refused").
@@ -180,9 +186,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_port_and_a_scheme_are_filled_in() {
-        let uris: Vec<String> = ["localhost", "http://h:1/", "10.0.0.1:99"].map(uri).into();
-        assert_eq!(uris, ["http://localhost:50551", "http://h:1", "http://10.0.0.1:99"]);
+    fn a_port_is_filled_in_and_certificates_are_shown_where_that_was_said() {
+        let uris = ["localhost", "http://h:1/", "10.0.0.1:99", "https://or1.local/", "https://h:1"].map(uri);
+        assert_eq!(uris, ["localhost:50551", "h:1", "10.0.0.1:99", "https://or1.local:50551", "https://h:1"]);
     }
 
     #[test]

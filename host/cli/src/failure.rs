@@ -66,13 +66,13 @@ impl Failure {
 
     /// Failure of a call when no GCM answers at `addr`.
     pub(super) fn no_gcm(addr: &str, why: &str) -> Self {
-        Self::new(
-            Exit::NoGcm,
-            "UNAVAILABLE",
-            "NO_GCM",
-            format!("no GCM answers at {addr}: {why}"),
-            "start one (`trocar demo`, `trocar run FILE`, `trocar host`), or name its address: --gcm ADDR or TROCAR_GCM",
-        )
+        let help = if addr.contains("https://") {
+            "see that it runs with --listen-tls at that address, and that both certificates are of one authority and valid: \
+             `trocar ca ls`"
+        } else {
+            "start one (`trocar demo`, `trocar run FILE`, `trocar host`), or name its address: --gcm ADDR or TROCAR_GCM"
+        };
+        Self::new(Exit::NoGcm, "UNAVAILABLE", "NO_GCM", format!("no GCM answers at {addr}: {why}"), help)
     }
 
     /// Something listens at `addr` and says nothing, as a process does that was stopped.

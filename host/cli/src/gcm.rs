@@ -56,6 +56,8 @@ pub(super) struct GcmArgs {
     #[command(flatten)]
     port: hosting::PortArgs,
     #[command(flatten)]
+    machines: hosting::MachineArgs,
+    #[command(flatten)]
     tie: hosting::Tie,
 }
 
@@ -90,7 +92,9 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
     if let Some(before) = before {
         before.end().await?;
     }
-    let (listen, rules, state) = (&listen, args.port.rules(), StateChoice::Durable(dir));
+    let (listen, state) = (&listen, StateChoice::Durable(dir));
+    let machines = args.machines.machines(session);
+    let rights = (args.port.rules(), &machines);
     let host = match args.store.clone() {
         Some(place) => {
             let (advertise, lease) = (args.advertise.clone(), Duration::from_secs(args.lease));
@@ -102,15 +106,16 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
                     "say at which address they reach this one: --advertise HOST:PORT",
                 ));
             }
-            Host::start_candidate(listen, &state, &Among { place, advertise, lease }, rules).await?
+            Host::start_candidate(listen, &state, &Among { place, advertise, lease }, rights).await?
         }
-        None => Host::start_gcm(listen, &state, args.fresh, rules).await?,
+        None => Host::start_gcm(listen, &state, args.fresh, rights).await?,
     };
     logging::to_file(host.state_dir().path());
     logging::to_readers(host.own_lines());
     if session.json() {
         let mut line = json!({
             "listening": hosting::address(&host),
+            "listening_tls": host.secured().map(|addr| addr.to_string()),
             "pid": std::process::id(),
             "state": host.state_dir().path(),
             "viewer": hosting::viewer(&hosting::address(&host)),
@@ -125,6 +130,11 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
         out::line(&line.to_string());
     } else {
         out::line(&format!("gcm listening on {}", hosting::address(&host)));
+        if let Some(addr) = host.secured() {
+            out::line(&format!(
+                "  for other machines: trocar host --gcm https://{addr} --identity FILE --listen 127.0.0.1:0 --name NAME"
+            ));
+        }
         if let Some(place) = &args.store {
             out::line(&format!("  one among several: the journal is at {place}"));
         }

@@ -30,7 +30,7 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Start and stop", &["start", "stop", "resume", "reset"]),
     ("Commands and data", &["call", "echo", "hz"]),
     ("Recordings", &["record", "info", "export"]),
-    ("Plugins and access", &["plugin", "token"]),
+    ("Plugins and access", &["plugin", "token", "ca"]),
 ];
 
 /// Columns of the names, and of a line.

@@ -15,8 +15,8 @@ use super::failure::{Done, Exit, Failure};
 use super::session::Session;
 use super::{logging, out, session};
 use trocar::host::{
-    Host, HostConfig, HostError, MemoryBounds, PortRules, StateChoice, StopRequest, Viewer, say_to_keeper,
-    state_home,
+    Host, HostConfig, HostError, Machines, MemoryBounds, PortRules, StateChoice, StopRequest, Viewer,
+    say_to_keeper, state_home,
 };
 use trocar::system_file::ProcessSpec;
 
@@ -63,7 +63,29 @@ pub(super) struct HostArgs {
     #[command(flatten)]
     port: PortArgs,
     #[command(flatten)]
+    machines: MachineArgs,
+    #[command(flatten)]
     tie: Tie,
+}
+
+/// How other machines reach a program.
+#[derive(Args, Clone, Debug)]
+pub(super) struct MachineArgs {
+    /// Address for other machines, beside the other one; both sides show certificates there, this one that
+    /// of --identity.
+    #[arg(long, value_name = "ADDR")]
+    listen_tls: Option<String>,
+    /// Certificates that are believed no more, as the authority lists them: `trocar ca` says where. The file
+    /// is looked at again and again.
+    #[arg(long, value_name = "FILE")]
+    revoked: Option<PathBuf>,
+}
+
+impl MachineArgs {
+    pub(super) fn machines(self, session: &Session) -> Machines {
+        let MachineArgs { listen_tls: listen, revoked } = self;
+        Machines { identity: session.identity(), listen, revoked }
+    }
 }
 
 /// Rights of callers at a program's address.
@@ -148,6 +170,7 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
         plugins: plugin_dirs(args.plugins),
         listen: Some(args.listen),
         rules: args.port.rules(),
+        machines: args.machines.machines(session),
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),
@@ -239,7 +262,8 @@ pub(super) fn address(host: &Host) -> String {
 
 /// Returns the page on which a browser sees the system of the GCM at this address, the first of several.
 pub(super) fn viewer(gcm: &str) -> String {
-    format!("http://{}/", gcm.split(',').next().unwrap_or(gcm))
+    let first = gcm.split(',').next().unwrap_or(gcm);
+    if first.contains("://") { format!("{first}/") } else { format!("http://{first}/") }
 }
 
 fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
@@ -247,6 +271,7 @@ fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
     if session.json() {
         let line = json!({
             "listening": address(host),
+            "listening_tls": host.secured().map(|addr| addr.to_string()),
             "process": config.name.as_str(),
             "pid": std::process::id(),
             "state": host.state_dir().path(),
@@ -260,6 +285,9 @@ fn say_listening(config: &HostConfig, host: &Host, session: &Session) {
     }
     let gcm = config.gcm.as_ref().map_or_else(|| "its own GCM".to_owned(), |addr| format!("GCM {addr}"));
     out::line(&format!("host {} listening on {}", config.name, address(host)));
+    if let Some(addr) = host.secured() {
+        out::line(&format!("  for other machines: https://{addr}"));
+    }
     out::line(&format!("  {gcm}, plugins {}, state {}", dirs.join(" "), host.state_dir().path().display()));
     out::line(&format!("  viewer {}", viewer(config.gcm.as_deref().unwrap_or(&address(host)))));
     out::line(&format!("  trocar ls --gcm {}", config.gcm.as_deref().unwrap_or(&address(host))));

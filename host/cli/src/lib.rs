@@ -7,6 +7,7 @@
 
 mod alike;
 mod apply;
+mod ca;
 mod call;
 mod check;
 mod client;
@@ -62,6 +63,7 @@ mod view;
 mod wait;
 mod watch;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -119,9 +121,13 @@ const PLUGIN_ASKS_NO_GCM: [&str; 3] = ["inspect", "check", "new"];
 /// Flags every subcommand takes.
 #[derive(Args, Debug)]
 struct Global {
-    /// Address of the GCM to ask, or those of several, A,B,C [default: $TROCAR_GCM or 127.0.0.1:50551].
+    /// Address of the GCM to ask, or those of several, A,B,C [default: $TROCAR_GCM or 127.0.0.1:50551];
+    /// https://HOST:PORT for one of another machine.
     #[arg(long, global = true, value_name = "ADDR", display_order = LAST)]
     gcm: Option<String>,
+    /// What you show to other machines, as `trocar ca issue` made it [default: $TROCAR_IDENTITY].
+    #[arg(long, global = true, value_name = "FILE", display_order = LAST)]
+    identity: Option<PathBuf>,
     /// Answers and errors as JSON on stdout.
     #[arg(long, global = true, display_order = LAST)]
     json: bool,
@@ -169,6 +175,7 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     Help(help::HelpArgs),
     Token(token::TokenArgs),
+    Ca(ca::CaArgs),
     Completions(completions::CompletionsArgs),
     Schema(schema::SchemaArgs),
     #[command(name = "__vet", hide = true)]
@@ -197,7 +204,7 @@ pub fn main() -> ExitCode {
 }
 
 fn dispatch(cli: Cli) -> Done {
-    let session = Session::new(cli.global.gcm, cli.global.json);
+    let session = Session::new(cli.global.gcm, cli.global.json).identified(cli.global.identity);
     match cli.command {
         Command::Demo(args) => process(demo::run(args, &session)),
         Command::Run(args) => process(run::run(args, &session)),
@@ -238,6 +245,7 @@ fn dispatch(cli: Cli) -> Done {
         Command::Doctor(args) => doctor::run(&args, &session),
         Command::Help(args) => help::run(&args, command()),
         Command::Token(args) => token::run(&args, &session),
+        Command::Ca(args) => ca::run(args, &session),
         Command::Completions(args) => Ok(completions::run(&args)),
         Command::Schema(args) => Ok(schema::run(&args)),
         Command::Vet(_) => Ok(Exit::Ok),

@@ -8,6 +8,7 @@ pub(super) mod holding;
 pub(super) mod recording;
 mod system;
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -24,6 +25,7 @@ use super::view::{
     ChangeView, DescribeView, ItemView, LogView, PluginView, ReplyView, RowView, SystemView, WaitView,
 };
 use super::{convert, out};
+use trocar::control::Dialler;
 use trocar::runtime_dir::Door;
 
 /// Port that a GCM listens on by default.
@@ -44,13 +46,36 @@ fn is_refusal(status: &tonic::Status) -> bool {
 /// Address of the GCM, form of the answers, and the connection once there is one.
 pub(super) struct Session {
     explicit: Option<String>,
+    identity: Option<PathBuf>,
     json: bool,
     client: Mutex<Option<Client>>,
 }
 
 impl Session {
     pub(super) fn new(gcm: Option<String>, json: bool) -> Self {
-        Self { explicit: gcm, json, client: Mutex::default() }
+        Self { explicit: gcm, identity: None, json, client: Mutex::default() }
+    }
+
+    /// Shows this to other machines, where it is named.
+    pub(super) fn identified(self, identity: Option<PathBuf>) -> Self {
+        Self { identity, ..self }
+    }
+
+    /// Returns the value of `--identity`, else that of the environment.
+    pub(super) fn identity(&self) -> Option<PathBuf> {
+        let from_env =
+            || std::env::var_os("TROCAR_IDENTITY").filter(|path| !path.is_empty()).map(PathBuf::from);
+        self.identity.clone().or_else(from_env)
+    }
+
+    fn dialler(&self) -> Result<Dialler, Failure> {
+        Dialler::of_file(self.identity().as_deref()).map_err(|why| {
+            Failure::local(
+                "IDENTITY",
+                why,
+                "`trocar ca issue` makes one: name its file with --identity or TROCAR_IDENTITY",
+            )
+        })
     }
 
     pub(super) fn json(&self) -> bool {
@@ -81,9 +106,10 @@ impl Session {
         if let Some(client) = self.client.lock().clone() {
             return Ok(client);
         }
+        let dialler = self.dialler()?;
         let connected = match addr.contains(',') {
-            true => Client::of_leader(&addr).await,
-            false => Client::connect(&addr, Door::Calls).await,
+            true => Client::of_leader(&dialler, &addr).await,
+            false => Client::connect(&dialler, &addr, Door::Calls).await,
         };
         let client = connected.map_err(|e| Failure::no_gcm(&addr, &e))?;
         Ok(self.client.lock().get_or_insert(client).clone())
@@ -96,12 +122,12 @@ impl Session {
         &self,
         ask: impl Fn() -> tonic::Request<v1::StopRequest>,
     ) -> Result<Result<v1::StopResponse, tonic::Status>, Failure> {
-        let all = self.address();
+        let (all, dialler) = (self.address(), self.dialler()?);
         let mut asking = JoinSet::new();
         for addr in all.split(',').map(|addr| addr.trim().to_owned()) {
-            let ask = ask();
+            let (ask, dialler) = (ask(), dialler.clone());
             asking.spawn(async move {
-                let client = Client::connect(&addr, Door::Stop).await;
+                let client = Client::connect(&dialler, &addr, Door::Stop).await;
                 let mut client = client.map_err(|e| Failure::no_gcm(&addr, &e))?;
                 Ok(client.gcm.stop(ask).await.map(tonic::Response::into_inner))
             });

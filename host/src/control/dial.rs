@@ -1,54 +1,174 @@
-//! The way to a port: by the socket beside it, else by TCP, with the token of the environment.
+//! The way to a port: by the socket beside it, else by TCP, with the token of the environment; to one of
+//! another machine by TLS, with the certificate of this process.
 //!
 //! Invariant: a socket is taken only from this user's own runtime directory, so nobody else can stand behind
 //! it. A caller that asks by a door never waits for ever: a host that stands still (its kernel still takes
 //! connections) is found out by pings it does not answer.
 
+use std::error::Error;
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
-use tonic::transport::{Channel, Endpoint, Error};
+use hyper_util::rt::TokioIo;
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::pki_types::ServerName;
+use tonic::transport::{Channel, Endpoint, Uri};
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_client::HealthClient;
+use tower::service_fn;
+use trocar_net::{Client, Expected, Identity, Revoked};
 
+use self::told::{Told, Why};
 use super::caller::{Tokened, with_token};
 use crate::runtime_dir::{Door, RuntimeDir};
+
+mod told;
 
 /// During a request, a host that is silent for this long is pinged.
 const QUIET: Duration = Duration::from_secs(5);
 /// The connection ends where it does not answer within that.
 const ANSWERS: Duration = Duration::from_secs(5);
+/// The port speaks gRPC alone to programs.
+const PROTOCOLS: [&str; 1] = ["h2"];
+/// In front of addresses where both sides show certificates.
+const SECURED: &str = "https://";
 
-/// Connects to `http://HOST:PORT`: by the socket beside it if `door` names one that exists, else by TCP;
-/// `within` bounds each attempt.
-///
-/// # Errors
-/// No address, no listener there, or no answer in time.
-pub async fn dial(uri: &str, door: Option<Door>, within: Duration) -> Result<Tokened, Error> {
-    if let Some(door) = door
-        && let Some(channel) = beside(uri, door, within).await
-    {
-        return Ok(with_token(channel));
-    }
-    let endpoint = Endpoint::from_shared(uri.to_owned())?.connect_timeout(within).tcp_nodelay(true);
-    // An Attach has heartbeats of its own.
-    let endpoint = if door.is_some() { pinged(endpoint) } else { endpoint };
-    Ok(with_token(endpoint.connect().await?))
+/// Why nobody is reached; its innermost cause says it.
+pub type DialError = Box<dyn Error + Send + Sync>;
+
+/// What this process shows of itself where certificates are asked for.
+#[derive(Clone, Debug, Default)]
+pub struct Dialler {
+    identity: Option<Arc<Identity>>,
+    revoked: Option<Arc<Revoked>>,
 }
 
-/// Connects by TCP to `http://HOST:PORT`, for a call that may be silent for long: a listener that stands
-/// still is found out by pings.
-///
-/// # Errors
-/// No address, no listener there, or no answer in time.
-pub(super) async fn dial_pinged(uri: &str, within: Duration) -> Result<Tokened, Error> {
-    let endpoint = Endpoint::from_shared(uri.to_owned())?.connect_timeout(within).tcp_nodelay(true);
-    Ok(with_token(pinged(endpoint).connect().await?))
+impl Dialler {
+    /// One that shows nothing: it reaches ports of this machine.
+    pub fn local() -> Dialler {
+        Dialler::default()
+    }
+
+    /// One that shows this identity, and believes none of `revoked`.
+    pub fn new(identity: Arc<Identity>, revoked: Option<Arc<Revoked>>) -> Dialler {
+        Dialler { identity: Some(identity), revoked }
+    }
+
+    /// One that shows the identity in this file, if one is named.
+    ///
+    /// # Errors
+    /// The file is no identity.
+    pub fn of_file(identity: Option<&Path>) -> Result<Dialler, String> {
+        let identity = identity.map(Identity::read).transpose().map_err(|e| e.to_string())?;
+        Ok(Dialler { identity: identity.map(Arc::new), revoked: None })
+    }
+
+    /// Connects to `HOST:PORT`, `http://HOST:PORT` or, by TLS, `https://HOST:PORT`: by the socket beside it
+    /// if `door` names one that exists; `within` bounds each attempt.
+    ///
+    /// # Errors
+    /// No address, no listener there, no answer in time, or no certificate that is believed.
+    pub async fn dial(&self, addr: &str, door: Option<Door>, within: Duration) -> Result<Tokened, DialError> {
+        if let Some(door) = door
+            && let Some(channel) = beside(addr, door, within).await
+        {
+            return Ok(with_token(channel));
+        }
+        // An Attach has heartbeats of its own.
+        self.connect(addr, within, door.is_some()).await
+    }
+
+    /// Connects as [`Dialler::dial`], past the sockets, for a call that may be silent for long: a listener
+    /// that stands still is found out by pings.
+    ///
+    /// # Errors
+    /// As there.
+    pub(super) async fn dial_pinged(&self, addr: &str, within: Duration) -> Result<Tokened, DialError> {
+        self.connect(addr, within, true).await
+    }
+
+    async fn connect(&self, addr: &str, within: Duration, pings: bool) -> Result<Tokened, DialError> {
+        let (endpoint, client) = self.endpoint(addr, within)?;
+        let endpoint = if pings { pinged(endpoint) } else { endpoint };
+        let Some(client) = client else { return Ok(with_token(endpoint.connect().await?)) };
+        let why = Why::default();
+        let told = why.clone();
+        let connector = service_fn(move |at| secured(client.clone(), at, within, told.clone()));
+        let channel = endpoint.connect_with_connector(connector).await;
+        let channel =
+            channel.map_err(|e| why.get().map_or_else(|| e.into(), |why| DialError::from(why.clone())))?;
+        // Under TLS 1.3 a caller hears only by its first question that it is not believed.
+        let mut health = HealthClient::new(channel.clone());
+        let asked = health.check(HealthCheckRequest::default());
+        match (tokio::time::timeout(within, asked).await, why.get()) {
+            (Ok(Ok(_)), _) | (Ok(Err(_)), None) => {}
+            (_, Some(why)) => return Err(why.clone().into()),
+            (Err(_), None) => return Err("it takes connections, and answers nothing".into()),
+        }
+        Ok(with_token(channel))
+    }
+
+    /// Connects at the first request, and again after a loss.
+    ///
+    /// # Errors
+    /// No address, or no identity for it.
+    pub(super) fn lazily(&self, addr: &str, within: Duration) -> Result<Tokened, DialError> {
+        let (endpoint, client) = self.endpoint(addr, within)?;
+        let Some(client) = client else { return Ok(with_token(endpoint.connect_lazy())) };
+        let connector = service_fn(move |at| secured(client.clone(), at, within, Why::default()));
+        Ok(with_token(endpoint.connect_with_connector_lazy(connector)))
+    }
+
+    /// The endpoint of an address, and what is shown there under TLS.
+    fn endpoint(&self, addr: &str, within: Duration) -> Result<(Endpoint, Option<Client>), DialError> {
+        let bare = addr.strip_prefix(SECURED).or_else(|| addr.strip_prefix("http://")).unwrap_or(addr);
+        // Whoever shows certificates does so below HTTP.
+        let endpoint =
+            Endpoint::from_shared(format!("http://{bare}"))?.connect_timeout(within).tcp_nodelay(true);
+        if !addr.starts_with(SECURED) {
+            return Ok((endpoint, None));
+        }
+        let Some(identity) = self.identity.clone() else {
+            return Err("a certificate is asked for there: name the file of yours with --identity FILE or \
+                        TROCAR_IDENTITY, which `trocar ca issue` makes"
+                .into());
+        };
+        let client = Client::new(identity, self.revoked.clone(), Expected::Gcm, &PROTOCOLS)?;
+        Ok((endpoint, Some(client)))
+    }
+}
+
+/// Tells whether both sides show certificates at this address.
+pub(super) fn is_secured(addr: &str) -> bool {
+    addr.starts_with(SECURED)
+}
+
+async fn secured(client: Client, at: Uri, within: Duration, why: Why) -> io::Result<TokioIo<Told>> {
+    let name = |text: &'static str| ServerName::try_from(text).map_err(io::Error::other);
+    let shaking = async {
+        let authority = at.authority().ok_or_else(|| io::Error::other("no address"))?;
+        let stream = TcpStream::connect(authority.as_str()).await?;
+        stream.set_nodelay(true)?;
+        // Whom it reaches is told by the certificate alone.
+        let stream = TlsConnector::from(client.config()).connect(name("trocar")?, stream).await;
+        Ok(TokioIo::new(Told::new(stream.map_err(told::told)?, why)))
+    };
+    let late = || io::Error::new(io::ErrorKind::TimedOut, "it showed no certificate in time");
+    tokio::time::timeout(within, shaking).await.map_err(|_| late())?
 }
 
 fn pinged(endpoint: Endpoint) -> Endpoint {
     endpoint.http2_keep_alive_interval(QUIET).keep_alive_timeout(ANSWERS)
 }
 
-async fn beside(uri: &str, door: Door, within: Duration) -> Option<Channel> {
-    let addrs = tokio::net::lookup_host(uri.strip_prefix("http://")?).await.ok()?;
+async fn beside(addr: &str, door: Door, within: Duration) -> Option<Channel> {
+    if is_secured(addr) {
+        return None;
+    }
+    let addrs = tokio::net::lookup_host(addr.strip_prefix("http://").unwrap_or(addr)).await.ok()?;
     let dir = RuntimeDir::of_user();
     dir.is_own().ok()?;
     for addr in addrs.filter(|addr| addr.ip().is_loopback()) {

@@ -13,7 +13,7 @@ use trocar_proto::v1::TellRequest;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
 use super::caller::Tokened;
-use super::dial::dial;
+use super::dial::Dialler;
 use crate::runtime_dir::Door;
 
 /// Addresses that are asked in one search, at most.
@@ -21,7 +21,7 @@ const MOST: usize = 16;
 
 /// A GCM that answers for its system, or the only program that was asked.
 pub struct Leader {
-    /// `HOST:PORT`.
+    /// `HOST:PORT`, with `https://` in front where certificates are shown.
     pub addr: String,
     pub channel: Tokened,
     /// Its term; 0: it has told none, since it is a host of another GCM.
@@ -39,6 +39,7 @@ pub fn addresses(text: &str) -> Vec<String> {
 /// # Errors
 /// Nobody leads: what each address said.
 pub async fn find_leader(
+    dialler: &Dialler,
     addrs: &[String],
     door: Option<Door>,
     within: Duration,
@@ -50,7 +51,9 @@ pub async fn find_leader(
             continue;
         }
         let silent = || Asked::Silent(format!("it did not answer within {}", spelled(within)));
-        let told = tokio::time::timeout(within, ask(&addr, door, within)).await.unwrap_or_else(|_| silent());
+        let told = tokio::time::timeout(within, ask(dialler, &addr, door, within))
+            .await
+            .unwrap_or_else(|_| silent());
         match told {
             Asked::Leads(channel, term) => return Ok(Leader { addr, channel, term }),
             Asked::Names(leader, why) => {
@@ -78,10 +81,10 @@ enum Asked {
     Silent(String),
 }
 
-async fn ask(addr: &str, door: Option<Door>, within: Duration) -> Asked {
-    let channel = match dial(&format!("http://{addr}"), door, within).await {
+async fn ask(dialler: &Dialler, addr: &str, door: Option<Door>, within: Duration) -> Asked {
+    let channel = match dialler.dial(addr, door, within).await {
         Ok(channel) => channel,
-        Err(e) => return Asked::Silent(innermost(&e)),
+        Err(e) => return Asked::Silent(innermost(&*e)),
     };
     match AttachServiceClient::new(channel.clone()).tell(TellRequest::default()).await {
         Ok(told) => Asked::Leads(channel, told.into_inner().term),
@@ -118,6 +121,7 @@ mod tests {
     fn addresses_are_read_with_or_without_a_scheme() {
         assert_eq!(addresses("127.0.0.1:1"), ["127.0.0.1:1"]);
         assert_eq!(addresses("http://a:1/, b:2,,"), ["a:1", "b:2"]);
+        assert_eq!(addresses("https://a:1/,b:2"), ["https://a:1", "b:2"], "certificates are shown there");
         assert!(addresses("").is_empty());
     }
 }

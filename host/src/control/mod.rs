@@ -27,11 +27,11 @@ mod tests;
 
 pub use attach::{AttachEdge, FeedOutbound, Outbound};
 pub use caller::{PortRules, Tokened, Viewer};
-pub use dial::dial;
+pub use dial::{DialError, Dialler};
 pub use leader::{Leader, addresses, find_leader};
 pub use seat::Seat;
 pub(crate) use serve::JOURNAL;
-pub use serve::{ServeConfig, ServeError, Server};
+pub use serve::{Secured, ServeConfig, ServeError, Server};
 pub use services::GcmServices;
 pub use uplink::{
     Begin, FeedInbound, FeedOutgoing, Feeder, Inbound, Line, Refused, Uplink, UplinkError, Way,

@@ -1,7 +1,7 @@
 //! The port: binds, serves every service with reflection and health, and the viewer; stops gracefully.
 //!
-//! Invariant: only loopback addresses, whose callers the kernel knows; connections are bounded in size,
-//! number, number of streams and silence.
+//! Invariant: without certificates only loopback addresses, whose callers the kernel knows; connections are
+//! bounded in size, number, number of streams and silence.
 
 use std::fmt;
 use std::io::ErrorKind;
@@ -11,12 +11,13 @@ use std::sync::Arc;
 use parking_lot::Mutex;
 use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::{Semaphore, oneshot, watch};
+use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
 use tonic::service::{Routes, RoutesBuilder};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 use trocar_model::{Name, Refusal};
+use trocar_net::{Identity, Revoked, Role};
 use trocar_proto::FILE_DESCRIPTOR_SET;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
 use trocar_proto::v1::gcm_service_server::GcmServiceServer;
@@ -27,7 +28,7 @@ use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 use super::attach::{AttachEdge, MAX_MESSAGE};
 use super::caller::{Access, PortRules, READERS, own_user};
 use super::doors::Doors;
-use super::incoming::Incoming;
+use super::incoming::{Connection, Incoming, Secure};
 use super::occupant::{self, Occupant};
 use super::seat::{Seat, refusing};
 use super::server::{Commanded, Edge, FOLLOWED, Standing};
@@ -47,9 +48,24 @@ pub struct ServeConfig {
     /// Address of the GCM that manages this process, when it is another's.
     pub managed_by: Option<String>,
     pub rules: PortRules,
+    /// A second address, for callers from other machines.
+    pub secured: Option<Secured>,
     /// Directory of the sockets beside the port and of the user's token; `None`: neither exists.
     pub runtime: Option<RuntimeDir>,
 }
+
+/// An address that other machines reach, where both sides show certificates.
+#[derive(Clone, Debug)]
+pub struct Secured {
+    /// Address and port; port 0 takes a free one.
+    pub listen: String,
+    pub identity: Arc<Identity>,
+    /// Certificates that are believed no more.
+    pub revoked: Option<Arc<Revoked>>,
+}
+
+/// Protocols of a port under TLS.
+const PROTOCOLS: [&str; 2] = ["h2", "http/1.1"];
 
 /// Why a port cannot be served.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,11 +90,13 @@ impl std::error::Error for ServeError {}
 /// A served port.
 pub struct Server {
     addr: SocketAddr,
-    stop: oneshot::Sender<()>,
+    /// The address that other machines reach.
+    secured: Option<SocketAddr>,
+    stop: watch::Sender<bool>,
     doors: Option<Doors>,
     /// Streams that would never end by themselves end with it.
     open: watch::Sender<()>,
-    task: JoinHandle<()>,
+    tasks: Vec<JoinHandle<()>>,
     /// Keeps log lines where no GCM does.
     logging: Option<JoinHandle<()>>,
 }
@@ -104,7 +122,8 @@ impl Server {
         };
         let access = access(config.rules, config.runtime.as_ref());
         let routes = routes(edge, config.gcm, access, closing, None).await.map_err(damaged)?;
-        Server::serve(&config.listen, listener, routes, config.runtime, (open, logging))
+        let secured = secure(config.secured).await?;
+        Server::serve((&config.listen, listener, secured), routes, config.runtime, (open, logging))
     }
 
     /// Binds, and serves what the seat of a GCM among several says, in the background.
@@ -114,40 +133,35 @@ impl Server {
     pub async fn start_seat(
         listen: &str,
         rules: PortRules,
+        secured: Option<Secured>,
         runtime: Option<RuntimeDir>,
     ) -> Result<(Server, Seat), ServeError> {
         let listener = bind(listen, None).await?;
+        let secured = secure(secured).await?;
         let (reporter, health) = tonic_health::server::health_reporter();
         let mut services = described(Routes::builder()).map_err(damaged)?;
         services.add_service(health);
         let idle = web::with_page(refusing(services.routes()), None, access(rules, runtime.as_ref()));
         let seat = Seat::new(idle, reporter);
         let open = watch::channel(()).0;
-        let server = Server::serve(listen, listener, seat.routes(), runtime, (open, None))?;
+        let server = Server::serve((listen, listener, secured), seat.routes(), runtime, (open, None))?;
         Ok((server, seat))
     }
 
     fn serve(
-        listen: &str,
-        listener: TcpListener,
+        (listen, listener, secured): (&str, TcpListener, Option<(SocketAddr, Secure)>),
         routes: Routes,
         runtime: Option<RuntimeDir>,
         (open, logging): (watch::Sender<()>, Option<JoinHandle<()>>),
     ) -> Result<Server, ServeError> {
         let addr = listener.local_addr().map_err(|e| unusable(listen, &e))?;
         let doors = runtime.map(|dir| Doors::open(&dir, addr, &routes));
-        let (stop, stopped) = oneshot::channel();
-        let task = tokio::spawn(async move {
-            let incoming = Incoming::tcp(listener, own_user());
-            let served = transport().add_routes(routes).serve_with_incoming_shutdown(incoming, async {
-                // A dropped sender means the same.
-                let _ = stopped.await;
-            });
-            if let Err(e) = served.await {
-                log::error!("the gRPC port ended: {e}");
-            }
-        });
-        Ok(Server { addr, stop, doors, open, task, logging })
+        let stop = watch::Sender::new(false);
+        let incoming = Incoming::tcp(listener, own_user());
+        let mut tasks = vec![tokio::spawn(answer(incoming, routes.clone(), stop.subscribe()))];
+        let (secured, callers) = secured.unzip();
+        tasks.extend(callers.map(|callers| tokio::spawn(answer(callers, routes, stop.subscribe()))));
+        Ok(Server { addr, secured, stop, doors, open, tasks, logging })
     }
 
     /// Returns the address it listens on.
@@ -155,19 +169,25 @@ impl Server {
         self.addr
     }
 
+    /// Returns the address that other machines reach, if there is one.
+    pub fn secured(&self) -> Option<SocketAddr> {
+        self.secured
+    }
+
     /// Takes no more calls; open ones get a moment, streams are cut.
     pub async fn shutdown(mut self) {
         // First: as soon as the port is free, another process's lead to its own.
         self.doors.iter_mut().for_each(Doors::close);
-        // A server that ended by itself does not listen any more.
-        let _ = self.stop.send(());
+        self.stop.send_replace(true);
         drop(self.open);
         if let Some(logging) = self.logging {
             logging.abort();
         }
-        let mut task = self.task;
-        if tokio::time::timeout(GRACE, &mut task).await.is_err() {
-            task.abort();
+        let late = tokio::time::Instant::now() + GRACE;
+        for mut task in self.tasks {
+            if tokio::time::timeout_at(late, &mut task).await.is_err() {
+                task.abort();
+            }
         }
     }
 
@@ -176,8 +196,44 @@ impl Server {
         if let Some(logging) = &self.logging {
             logging.abort();
         }
-        self.task.abort();
+        self.tasks.iter().for_each(JoinHandle::abort);
     }
+}
+
+/// Answers those who come in until it is told to stop.
+async fn answer<I>(incoming: I, routes: Routes, mut stop: watch::Receiver<bool>)
+where
+    I: tokio_stream::Stream<Item = std::io::Result<Connection>> + Unpin + Send + 'static,
+{
+    let stopped = async move {
+        // A dropped sender means the same.
+        let _ = stop.wait_for(|stop| *stop).await;
+    };
+    if let Err(e) = transport().add_routes(routes).serve_with_incoming_shutdown(incoming, stopped).await {
+        log::error!("the gRPC port ended: {e}");
+    }
+}
+
+/// Listens for callers from other machines.
+async fn secure(wanted: Option<Secured>) -> Result<Option<(SocketAddr, Secure)>, ServeError> {
+    let Some(Secured { listen, identity, revoked }) = wanted else { return Ok(None) };
+    let because = |why: &dyn fmt::Display| {
+        ServeError::Unusable {
+        because: format!("{listen} cannot be listened on: {why}"),
+        help: "give an address of this machine and a port: --listen-tls 10.0.0.1:50552 (port 0 takes a free one)".into(),
+    }
+    };
+    if !matches!(identity.holder().role, Role::Gcm | Role::Host) {
+        let (path, holder) = (identity.path().display(), identity.holder());
+        return Err(ServeError::Unusable {
+            because: format!("{path} is of the {holder}, and nobody believes that it is a process or a GCM"),
+            help: "issue one with --role gcm, or --role host --process NAME: `trocar ca issue`".into(),
+        });
+    }
+    let server = trocar_net::Server::new(identity, revoked, &PROTOCOLS).map_err(|e| because(&e))?;
+    let listener = TcpListener::bind(&listen).await.map_err(|e| because(&e))?;
+    let addr = listener.local_addr().map_err(|e| because(&e))?;
+    Ok(Some((addr, Secure::new(listener, server))))
 }
 
 /// `own` is the name of this process, which a GCM has not.
@@ -189,10 +245,11 @@ async fn bind(listen: &str, own: Option<&Name>) -> Result<TcpListener, ServeErro
     let addrs: Vec<SocketAddr> = addrs.collect();
     if let Some(open) = addrs.iter().find(|a| !is_loopback(a.ip())) {
         return Err(ServeError::Unusable {
-            because: format!(
-                "{open} can be reached from other machines, and calls are not authenticated yet"
+            because: format!("{open} can be reached from other machines, where nobody knows who calls"),
+            help: format!(
+                "listen on 127.0.0.1 or [::1], and for other machines beside it: --listen-tls {open} --identity FILE, which \
+                 `trocar ca issue` makes; or reach it through an SSH tunnel"
             ),
-            help: "listen on 127.0.0.1 or [::1]; reach it from elsewhere through an SSH tunnel".into(),
         });
     }
     match TcpListener::bind(&addrs[..]).await {

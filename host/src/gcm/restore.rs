@@ -91,7 +91,12 @@ impl Gcm {
         let again = self.make_again(&carrying, &plan, &back, &here, &mut made).await;
         let Some(away) = again else { return };
         self.made_again(&mut made, &back);
-        log::info!("process {process} has again what it was to have, but for {}", away.unmade.len());
+        match away.unmade.len() {
+            0 => log::info!("process {process} has again all that it was to have"),
+            n => log::warn!(
+                "process {process} has again what it was to have, but for {n} of it: `trocar ls` says why"
+            ),
+        }
         // News told before would cover the notes.
         self.hear_out(&process).await;
         self.noted(away);

@@ -34,7 +34,8 @@ impl Gcm {
             identity: options.identity.clone(),
             request_id: options.request_id.clone(),
             hash,
-            ..Asked::default()
+            // Until it is known which requests that makes.
+            text: format!(r#"{{"apply":{{"bytes":{},"prune":{prune}}}}}"#, text.len()),
         };
         self.once(hash, &options, deadline, self.becomes(&file, prune, &options, by, deadline)).await
     }

@@ -6,6 +6,7 @@ use trocar_loader::Trust;
 use trocar_model::Name;
 use trocar_plugin_api::abi::StaticPlugin;
 
+use super::machines::Machines;
 use super::{MemoryBounds, StateChoice};
 use crate::control::PortRules;
 
@@ -24,6 +25,8 @@ pub struct HostConfig {
     pub fresh: bool,
     /// Rights of callers at that address.
     pub rules: PortRules,
+    /// How other machines know it, and reach it.
+    pub machines: Machines,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,
     /// Wait for that GCM when it does not answer yet, or still takes an earlier incarnation of this
@@ -51,6 +54,7 @@ impl HostConfig {
             linked: Vec::new(),
             listen: None,
             rules: PortRules::default(),
+            machines: Machines::default(),
             state: StateChoice::Ephemeral,
             fresh: false,
             gcm: None,

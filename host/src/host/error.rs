@@ -67,6 +67,10 @@ pub enum HostError {
         because: String,
         help: String,
     },
+    /// It cannot show other machines who it is.
+    Identity {
+        because: String,
+    },
     /// No GCM answers where `--gcm` points.
     NoGcm {
         addr: String,
@@ -96,6 +100,7 @@ impl HostError {
             HostError::Linked { .. } => "PLUGIN_LINKED",
             HostError::NoVetting { .. } => "NO_VETTING",
             HostError::Listen { .. } => "LISTEN",
+            HostError::Identity { .. } => "IDENTITY",
             HostError::NoGcm { .. } => "NO_GCM",
             HostError::Refused(refusal) => refusal.reason(),
         }
@@ -144,6 +149,15 @@ impl HostError {
                     .into()
             }
             HostError::Listen { help, .. } | HostError::NotTakenOver { help, .. } => help.clone(),
+            HostError::Identity { .. } => {
+                "`trocar ca issue NAME --role host --process NAME` makes one (--role gcm for a GCM): give it with --identity FILE"
+                    .into()
+            }
+            HostError::NoGcm { addr, .. } if addr.contains("https://") => {
+                "see that the GCM runs with --listen-tls at that address, and that both certificates are of one authority and \
+                 valid: `trocar ca ls`"
+                    .into()
+            }
             HostError::NoGcm { addr, .. } => {
                 format!("start it first: `trocar gcm --listen {addr}`, or leave --gcm out: this host embeds one")
             }
@@ -194,7 +208,7 @@ impl fmt::Display for HostError {
                     tried.join(", ")
                 )
             }
-            HostError::Listen { because, .. } => f.write_str(because),
+            HostError::Listen { because, .. } | HostError::Identity { because } => f.write_str(because),
             HostError::NoGcm { addr, because } => write!(f, "no GCM answers at {addr}: {because}"),
             HostError::Refused(refusal) => write!(f, "{refusal}"),
         }

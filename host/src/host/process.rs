@@ -21,8 +21,8 @@ use super::candidacy::{Among, Candidacy};
 use super::ending::{Ending, SHUTDOWN};
 use super::sources::{self, Sources};
 use super::state_dir::Kind;
-use super::{HostConfig, HostError, StateChoice, StateDir, StopRequest, files, threads};
-use crate::control::{Begin, GcmServices, PortRules, ServeConfig, Server, Uplink};
+use super::{HostConfig, HostError, Machines, StateChoice, StateDir, StopRequest, files, threads};
+use crate::control::{Begin, Dialler, GcmServices, PortRules, Secured, ServeConfig, Server, Uplink};
 use crate::gcm::{ExecuteOptions, Gcm, GcmConfig, Registration, StartError};
 use crate::journal::RedbStore;
 use crate::lcm::{Decision, Lcm, LcmConfig, LocalLcm, LogLine, Order, Stop, keep_descriptors};
@@ -42,6 +42,8 @@ pub struct Host {
     managed_by: Option<String>,
     /// A host inside a program may listen nowhere.
     addr: Option<SocketAddr>,
+    /// The address that other machines reach.
+    secured: Option<SocketAddr>,
     state: Arc<StateDir>,
     /// True: everything that the host was to be is there; before that it leaves nothing behind.
     is_up: bool,
@@ -70,11 +72,12 @@ impl Host {
         listen: &str,
         state: &StateChoice,
         fresh: bool,
-        rules: PortRules,
+        (rules, machines): (PortRules, &Machines),
     ) -> Result<Self, HostError> {
         needs_runtime()?;
+        let (_, secured) = machines.open()?;
         let mut host = Self::in_directory(state, fresh)?;
-        let done = host.bring_up_gcm(listen, rules).await;
+        let done = host.bring_up_gcm(listen, rules, secured).await;
         host.if_up(done).await
     }
 
@@ -87,11 +90,12 @@ impl Host {
         listen: &str,
         state: &StateChoice,
         among: &Among,
-        rules: PortRules,
+        (rules, machines): (PortRules, &Machines),
     ) -> Result<Self, HostError> {
         needs_runtime()?;
+        let (_, secured) = machines.open()?;
         let mut host = Self::in_directory(state, false)?;
-        let done = host.bring_up_candidate(listen, among, rules).await;
+        let done = host.bring_up_candidate(listen, among, (rules, secured)).await;
         host.if_up(done).await
     }
 
@@ -105,6 +109,7 @@ impl Host {
             uplink: None,
             managed_by: None,
             addr: None,
+            secured: None,
             state,
             is_up: false,
             ending,
@@ -128,6 +133,7 @@ impl Host {
     }
 
     async fn bring_up(&mut self, config: &HostConfig) -> Result<(), HostError> {
+        let (dialler, secured) = config.machines.open()?;
         let Sources { classes, store } = sources::open(config, &self.state)?;
         let lcm = LocalLcm::new(LcmConfig {
             process: config.name.clone(),
@@ -159,11 +165,17 @@ impl Host {
                 }
             })
         });
-        self.serve(config, lcm.clone()).await?;
-        offer_services(config, &lcm, self.gcm.as_ref())
+        self.serve(config, lcm.clone(), &dialler, secured).await?;
+        offer_services(config, &lcm, self.gcm.as_ref(), &dialler)
     }
 
-    async fn serve(&mut self, config: &HostConfig, lcm: Arc<LocalLcm>) -> Result<(), HostError> {
+    async fn serve(
+        &mut self,
+        config: &HostConfig,
+        lcm: Arc<LocalLcm>,
+        dialler: &Dialler,
+        secured: Option<Secured>,
+    ) -> Result<(), HostError> {
         let local: Arc<dyn Lcm> = lcm.clone();
         self.managed_by = config.gcm.clone();
         if config.gcm.is_none() {
@@ -177,11 +189,13 @@ impl Host {
                 local: Some((config.name.clone(), local.clone())),
                 managed_by: config.gcm.clone(),
                 rules: config.rules,
+                secured,
                 runtime: Some(RuntimeDir::of_user()),
             })
             .await?;
         }
-        let endpoint = self.addr.map(|addr| addr.to_string()).unwrap_or_default();
+        let secured = self.secured.map(|addr| format!("https://{addr}"));
+        let endpoint = secured.or_else(|| self.addr.map(|addr| addr.to_string())).unwrap_or_default();
         self.ending.running().announced = announce(config.name.as_str(), self.gcm.clone(), lcm);
         // From here on the GCM makes components.
         keep_descriptors();
@@ -193,7 +207,8 @@ impl Host {
             }
             (None, Some(addr)) => {
                 let begin = if config.await_gcm { Begin::Patient } else { Begin::AtOnce };
-                let mut uplink = Uplink::start(addr.clone(), registration, local, begin).await?;
+                let mut uplink =
+                    Uplink::start(addr.clone(), dialler.clone(), registration, local, begin).await?;
                 self.ending.running().uplink = uplink.take_task();
                 self.uplink = Some(uplink);
             }
@@ -202,7 +217,12 @@ impl Host {
         Ok(())
     }
 
-    async fn bring_up_gcm(&mut self, listen: &str, rules: PortRules) -> Result<(), HostError> {
+    async fn bring_up_gcm(
+        &mut self,
+        listen: &str,
+        rules: PortRules,
+        secured: Option<Secured>,
+    ) -> Result<(), HostError> {
         let gcm = start_gcm(&self.state).await?;
         self.gcm = Some(gcm.clone());
         self.ending.running().gcm = self.gcm.clone();
@@ -212,6 +232,7 @@ impl Host {
             local: None,
             managed_by: None,
             rules,
+            secured,
             runtime: Some(RuntimeDir::of_user()),
         })
         .await?;
@@ -225,14 +246,15 @@ impl Host {
         &mut self,
         listen: &str,
         among: &Among,
-        rules: PortRules,
+        (rules, secured): (PortRules, Option<Secured>),
     ) -> Result<(), HostError> {
         let runtime = RuntimeDir::of_user();
-        let (server, seat) = Server::start_seat(listen, rules, Some(runtime.clone())).await?;
+        let (server, seat) = Server::start_seat(listen, rules, secured, Some(runtime.clone())).await?;
         let addr = server.addr();
-        self.addr = Some(addr);
+        (self.addr, self.secured) = (Some(addr), server.secured());
+        let reached = self.secured.map_or_else(|| addr.to_string(), |addr| format!("https://{addr}"));
         self.ending.running().server = Some(server);
-        let begun = Candidacy::begin(seat, (among, addr.to_string()), (rules, runtime)).await?;
+        let begun = Candidacy::begin(seat, (among, reached), (rules, runtime)).await?;
         self.ending.running().candidacy = Some(begun);
         self.state.is_used_by(&Kind::Candidate);
         Ok(())
@@ -240,7 +262,7 @@ impl Host {
 
     async fn listen(&mut self, config: ServeConfig) -> Result<(), HostError> {
         let server = Server::start(config).await?;
-        self.addr = Some(server.addr());
+        (self.addr, self.secured) = (Some(server.addr()), server.secured());
         self.ending.running().server = Some(server);
         Ok(())
     }
@@ -248,6 +270,11 @@ impl Host {
     /// Returns the address that it listens on, or did; `None` for a host without a port.
     pub fn addr(&self) -> Option<SocketAddr> {
         self.addr
+    }
+
+    /// Returns the address at which other machines reach it, if there is one.
+    pub fn secured(&self) -> Option<SocketAddr> {
+        self.secured
     }
 
     /// Address of the GCM that manages this host when it is another process's.
@@ -345,12 +372,16 @@ fn needs_runtime() -> Result<(), HostError> {
 }
 
 /// Lets components ask the GCM of their system for dynamic component services.
-fn offer_services(config: &HostConfig, lcm: &Arc<LocalLcm>, gcm: Option<&Gcm>) -> Result<(), HostError> {
+fn offer_services(
+    config: &HostConfig,
+    lcm: &Arc<LocalLcm>,
+    gcm: Option<&Gcm>,
+    dialler: &Dialler,
+) -> Result<(), HostError> {
     let services = match (gcm, &config.gcm) {
         (Some(gcm), _) => GcmServices::here(gcm.clone()),
-        (None, Some(addr)) => {
-            GcmServices::at(addr).map_err(|because| HostError::NoGcm { addr: addr.clone(), because })?
-        }
+        (None, Some(addr)) => GcmServices::at(addr, dialler)
+            .map_err(|because| HostError::NoGcm { addr: addr.clone(), because })?,
         (None, None) => return Ok(()),
     };
     lcm.offer_services(Arc::new(services)).map_err(|e| HostError::Threads { because: e.to_string() })

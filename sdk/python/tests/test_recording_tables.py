@@ -405,7 +405,7 @@ def test_the_code_in_the_manual_runs(tmp_path, monkeypatch):
     parts = [("pose", 11, False, "Part", False), ("twist", 11, False, "Part", False)]
     tip_type = types("trocar.h7.Tip", [("Part", vectors), ("Tip", parts)])
     column_type = types("trocar.h8.Column", [("Column", [("distance", 1, False, "", False)])])
-    file = File(tmp_path / "trial.mcap")
+    file = File(tmp_path / "trial7.mcap")
     tip = file.topic("/host/robot/tip", tip_type, {"unit:pose.position": "m"})
     column, image = file.topic("/host/bscan/column", column_type), file.topic("/host/bscan/bscan_image", raw_image())
     for i in range(60):

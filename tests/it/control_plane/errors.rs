@@ -16,6 +16,7 @@ use super::stage::{Stage, play_all};
 /// Reasons that no single call to one host can be answered with in this version.
 const NOT_YET: &[(&str, &str)] = &[
     ("PROGRAMS_NOT_ALLOWED", "a class that starts programs meets it: tests/it/devices/video.rs"),
+    ("ROLE_FORBIDDEN", "callers from other machines meet it: machines.rs"),
     ("FORBIDDEN", "programs of other users meet it: tests/it/hostile/other_user.rs"),
     ("DISABLED", "a caller from outside is told MEMBER_NOT_FOUND when a description withdrew the command"),
     ("WOULD_BLOCK", "only a real-time thread meets it, never a caller from outside"),

@@ -13,7 +13,8 @@ use trocar_proto::v1::attach_request::Message;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::attach_service_server::{AttachService, AttachServiceServer};
 use trocar_proto::v1::{
-    AttachRequest, AttachResponse, Card, SuperviseRequest, SuperviseResponse, TellRequest, TellResponse,
+    AttachRequest, AttachResponse, Card, FeedRequest, FeedResponse, SuperviseRequest, SuperviseResponse,
+    TellRequest, TellResponse,
 };
 use trocar_tests::HostProcess;
 
@@ -31,6 +32,7 @@ struct Forger {
 #[tonic::async_trait]
 impl AttachService for Forger {
     type AttachStream = Streaming<AttachResponse>;
+    type FeedStream = Streaming<FeedResponse>;
     type SuperviseStream = Streaming<SuperviseResponse>;
 
     async fn attach(&self, request: Request<Streaming<AttachRequest>>) -> Answer<Self::AttachStream> {
@@ -47,6 +49,19 @@ impl AttachService for Forger {
             }
         });
         self.gcm.clone().attach(ReceiverStream::new(told)).await
+    }
+
+    async fn feed(&self, request: Request<Streaming<FeedRequest>>) -> Answer<Self::FeedStream> {
+        let (tell, told) = mpsc::channel(64);
+        let mut said = request.into_inner();
+        tokio::spawn(async move {
+            while let Ok(Some(message)) = said.message().await {
+                if tell.send(message).await.is_err() {
+                    return;
+                }
+            }
+        });
+        self.gcm.clone().feed(ReceiverStream::new(told)).await
     }
 
     async fn tell(&self, request: Request<TellRequest>) -> Answer<TellResponse> {

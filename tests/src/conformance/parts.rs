@@ -8,7 +8,7 @@ use std::sync::{Arc, MutexGuard, PoisonError};
 use serde_json::json;
 use trocar::Host;
 use trocar::gcm::Registration;
-use trocar::host::{PortRules, StateChoice};
+use trocar::host::{Machines, PortRules, StateChoice};
 use trocar::lcm::Lcm;
 use trocar::model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request, Target};
 
@@ -45,7 +45,12 @@ impl Lab {
         let world = World::new();
         languages.drop_in(&world);
         let state = StateChoice::Durable(world.state().join("gcm"));
-        let host = runtime().block_on(Host::start_gcm("127.0.0.1:0", &state, false, PortRules::default()));
+        let host = runtime().block_on(Host::start_gcm(
+            "127.0.0.1:0",
+            &state,
+            false,
+            (PortRules::default(), &Machines::default()),
+        ));
         let mut lab = Lab::around(host.unwrap_or_else(|e| panic!("no GCM: {e}")), languages, world);
         let gcm = lab.address();
         for process in [HOST, OTHER] {

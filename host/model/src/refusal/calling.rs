@@ -169,6 +169,26 @@ macro_rules! calling {
         },
     }
 
+    /// Something that a certificate does not let its holder do.
+    RoleForbidden {
+        what: String,
+        /// By the certificate.
+        caller: String,
+        /// What the certificate would have to say.
+        needs: String,
+    } => {
+        code: PermissionDenied, reason: "ROLE_FORBIDDEN",
+        sentence: format!("{what} is refused to {caller}: it takes a certificate of {needs}"),
+        help: "Whoever keeps the authority issues one: `trocar ca issue NAME --role operator` (`--process NAME` for \
+               a host); `trocar ca ls` lists those there are.",
+        metadata: put("what", what).put("caller", caller).put("needs", needs),
+        example: RoleForbidden {
+            what: "Remove".into(),
+            caller: "operator anna at 10.0.0.7:40404".into(),
+            needs: "the role administrator".into(),
+        },
+    }
+
     /// The request would change something, and came from a page that only reads.
     ReadOnly { what: String } => {
         code: PermissionDenied, reason: "READ_ONLY",

@@ -80,8 +80,8 @@ macro_rules! connecting {
             "`{function}` is wanted by `{client}` as {wants}, but `{server}` offers it as {has}"
         ),
         help: "Declare the function in the client's class with the argument and result the command has: \
-               without a result it binds to void and write commands, with one to reads and returning \
-               commands.",
+               `Function<()>` for a command without an argument (void), `Function<T>` for one that takes a T \
+               (write), and with a result for reads and commands that return one.",
         metadata: ends(client, server).put("function", function).put("wants", wants).put("has", has),
         example: CommandKindMismatch {
             client: client(),

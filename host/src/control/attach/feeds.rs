@@ -16,6 +16,7 @@ use trocar_proto::v1::{self, feed_request};
 
 use super::remote::RemoteLcm;
 use super::{HELLO, QUEUE};
+use crate::control::caller::{Peer, is_process};
 
 /// Orders to a process over its Feed.
 pub type FeedOutbound = ReceiverStream<Result<v1::FeedResponse, Status>>;
@@ -53,6 +54,7 @@ impl Feeds {
     /// Its first message is no hello, is late, or is not of a process that is attached.
     pub(super) async fn hear<I>(
         &self,
+        peer: Option<&Peer>,
         mut inbound: I,
         mut open: watch::Receiver<()>,
     ) -> Result<FeedOutbound, Refusal>
@@ -68,6 +70,7 @@ impl Feeds {
                 field: "hello".into(),
             });
         };
+        is_process(peer, "Feed", &hello.process)?;
         let lcm = self.session(&hello)?;
         let (out, orders) = mpsc::channel(QUEUE);
         let number = lcm.feeds_over(out);

@@ -23,6 +23,7 @@ use trocar_proto::v1::{attach_request, attach_response};
 pub use self::feeds::FeedOutbound;
 use self::feeds::Feeds;
 use self::remote::{Outgoing, RemoteLcm, message};
+use super::caller::{Peer, is_process};
 use super::convert;
 use super::status::status;
 use crate::gcm::{Gcm, Registered, Registration, Told};
@@ -62,7 +63,15 @@ impl AttachEdge {
     ///
     /// # Errors
     /// Its first message is no hello, or is late.
-    pub async fn hear<I>(&self, mut inbound: I) -> Result<Outbound, Status>
+    pub async fn hear<I>(&self, inbound: I) -> Result<Outbound, Status>
+    where
+        I: Stream<Item = Result<v1::AttachRequest, Status>> + Send + Unpin + 'static,
+    {
+        self.hear_from(None, inbound).await
+    }
+
+    /// Hears one who may be the processes that its certificate names.
+    async fn hear_from<I>(&self, peer: Option<&Peer>, mut inbound: I) -> Result<Outbound, Status>
     where
         I: Stream<Item = Result<v1::AttachRequest, Status>> + Send + Unpin + 'static,
     {
@@ -75,6 +84,7 @@ impl AttachEdge {
                 field: "hello".into(),
             }));
         };
+        is_process(peer, "Attach", &hello.process).map_err(|refusal| status(&refusal))?;
         let (out, orders) = mpsc::channel(QUEUE);
         let first = match self.take_in(hello, &out).await {
             Ok(attached) => {
@@ -124,7 +134,8 @@ impl AttachService for AttachEdge {
         &self,
         request: Request<Streaming<v1::AttachRequest>>,
     ) -> Result<Response<Self::AttachStream>, Status> {
-        Ok(Response::new(self.hear(request.into_inner()).await?))
+        let (_, extensions, inbound) = request.into_parts();
+        Ok(Response::new(self.hear_from(extensions.get(), inbound).await?))
     }
 
     type FeedStream = FeedOutbound;
@@ -133,7 +144,8 @@ impl AttachService for AttachEdge {
         &self,
         request: Request<Streaming<v1::FeedRequest>>,
     ) -> Result<Response<Self::FeedStream>, Status> {
-        let fed = self.feeds.hear(request.into_inner(), self.open.clone()).await;
+        let (_, extensions, inbound) = request.into_parts();
+        let fed = self.feeds.hear(extensions.get(), inbound, self.open.clone()).await;
         Ok(Response::new(fed.map_err(|refusal| status(&refusal))?))
     }
 
@@ -143,7 +155,12 @@ impl AttachService for AttachEdge {
         &self,
         request: Request<v1::SuperviseRequest>,
     ) -> Result<Response<Self::SuperviseStream>, Status> {
-        let who = convert::supervisor(request.into_inner()).map_err(|refusal| status(&refusal))?;
+        let (_, extensions, asked) = request.into_parts();
+        let apart = asked.apart.iter().map(|apart| &apart.process);
+        for process in asked.processes.iter().chain(apart) {
+            is_process(extensions.get(), "Supervise", process).map_err(|refusal| status(&refusal))?;
+        }
+        let who = convert::supervisor(asked).map_err(|refusal| status(&refusal))?;
         let (mut supervising, term) = (self.gcm.supervise(who), self.gcm.term());
         let (tell, told) = mpsc::channel(1);
         let mut open = self.open.clone();
@@ -163,8 +180,11 @@ impl AttachService for AttachEdge {
     }
 
     async fn tell(&self, request: Request<v1::TellRequest>) -> Result<Response<v1::TellResponse>, Status> {
-        let told: Result<Vec<Told>, Refusal> =
-            request.into_inner().processes.into_iter().map(convert::told).collect();
+        let (_, extensions, asked) = request.into_parts();
+        for told in &asked.processes {
+            is_process(extensions.get(), "Tell", &told.process).map_err(|refusal| status(&refusal))?;
+        }
+        let told: Result<Vec<Told>, Refusal> = asked.processes.into_iter().map(convert::told).collect();
         // A report is entered only if all of it is understood.
         for told in told.map_err(|refusal| status(&refusal))? {
             self.gcm.told(&told);

@@ -1,7 +1,7 @@
-//! The rights of a caller: to ask everything, or only reading methods. A list of all methods.
+//! The rights of a caller: to ask everything, what its certificate says, or only reading methods.
 //!
-//! Invariant: a method that is not listed changes something, so a new method is refused to callers that only
-//! read until it is put on a list.
+//! Invariant: a method without a row in `rights.rs` changes something, so a new method is refused to callers
+//! that only read until it has one.
 
 use std::sync::Arc;
 
@@ -17,35 +17,15 @@ use tokio::sync::Semaphore;
 use tonic::Status;
 use trocar_links::Seldom;
 use trocar_model::Refusal;
+use trocar_net::Role;
 use trocar_rt::os::now_ns;
 
+use super::rights::{self, Right, is_own, may, needed, right};
 use super::{Peer, PortRules, Viewer};
 use crate::control::kind::{is_grpc, is_native};
+use crate::control::services::FOR_COMPONENT;
 use crate::control::status::status;
 use crate::runtime_dir::RuntimeDir;
-
-/// Methods that change nothing. `Invoke` and `WaitFor` look at the command that is called: see [`OnlyReads`].
-const READING: [&str; 19] = [
-    "/trocar.v1.GcmService/Compare",
-    "/trocar.v1.GcmService/Describe",
-    "/trocar.v1.GcmService/GetState",
-    "/trocar.v1.GcmService/List",
-    "/trocar.v1.GcmService/Save",
-    "/trocar.v1.GcmService/WaitFor",
-    "/trocar.v1.GcmService/Watch",
-    "/trocar.v1.InteractService/Invoke",
-    "/trocar.v1.InteractService/Logs",
-    "/trocar.v1.InteractService/Read",
-    "/trocar.v1.InteractService/Subscribe",
-    "/trocar.v1.PluginService/DescribePlugin",
-    "/trocar.v1.PluginService/ListPlugins",
-    "/grpc.health.v1.Health/Check",
-    "/grpc.health.v1.Health/List",
-    "/grpc.health.v1.Health/Watch",
-    "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
-    "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
-    "/video.mjpeg",
-];
 
 /// The rule by which callers of a port are let in.
 #[derive(Debug)]
@@ -71,6 +51,23 @@ pub(crate) enum OnlyReads {
     Page,
     /// A program of a user without further rights.
     Caller { who: String, user: u32 },
+    /// One whose certificate lets it read.
+    Holder { who: String },
+}
+
+/// The caller has the rights of its certificate.
+#[derive(Clone, Debug)]
+struct Bounded {
+    who: String,
+    role: Role,
+    /// It asks for a component of a process that it may be.
+    for_own: bool,
+}
+
+/// What a caller may not.
+enum Limit {
+    Reads(OnlyReads),
+    Role(Bounded),
 }
 
 impl OnlyReads {
@@ -79,15 +76,28 @@ impl OnlyReads {
         match self {
             OnlyReads::Page => Refusal::ReadOnly { what },
             OnlyReads::Caller { who, user } => Refusal::Forbidden { what, caller: who.clone(), user: *user },
+            OnlyReads::Holder { who } => {
+                let needs = needed(Some(Right::Operates));
+                Refusal::RoleForbidden { what, caller: who.clone(), needs }
+            }
         }
     }
 }
 
 impl Access {
     /// `None`: everything.
-    fn limit(&self, peer: Option<&Peer>, headers: &HeaderMap, native: bool) -> Option<OnlyReads> {
+    fn limit(&self, peer: Option<&Peer>, headers: &HeaderMap, native: bool) -> Option<Limit> {
         if self.rules.viewer == Viewer::ReadOnly && !native {
-            return Some(OnlyReads::Page);
+            return Some(Limit::Reads(OnlyReads::Page));
+        }
+        if let Some((peer, holder)) = peer.and_then(|peer| Some((peer, peer.holder()?))) {
+            let who = peer.to_string();
+            let component = headers.get(FOR_COMPONENT).and_then(|path| path.to_str().ok());
+            let for_own = is_own(holder, component);
+            return match holder.role {
+                Role::Viewer => Some(Limit::Reads(OnlyReads::Holder { who })),
+                role => Some(Limit::Role(Bounded { who, role, for_own })),
+            };
         }
         if self.rules.open_loopback || peer.is_some_and(|peer| peer.is_of(self.user)) {
             return None;
@@ -98,7 +108,7 @@ impl Access {
             Some(_) => format!("{who}, with a token that is not this host's,"),
             None => who,
         };
-        Some(OnlyReads::Caller { who, user: self.user })
+        Some(Limit::Reads(OnlyReads::Caller { who, user: self.user }))
     }
 
     fn is_token(&self, sent: &str) -> bool {
@@ -122,8 +132,16 @@ fn is_same(known: &[u8], sent: &[u8]) -> bool {
 /// Stands before everything, pages and services: marks requests of a caller that only reads.
 pub(crate) async fn known(State(access): State<Arc<Access>>, mut request: Request, next: Next) -> Response {
     let peer = request.extensions().get::<Peer>();
-    if let Some(limit) = access.limit(peer, request.headers(), is_native(&request)) {
-        request.extensions_mut().insert(limit);
+    match access.limit(peer, request.headers(), is_native(&request)) {
+        Some(Limit::Reads(limit)) => _ = request.extensions_mut().insert(limit),
+        Some(Limit::Role(limit)) => {
+            if limit.role == Role::Host && !limit.for_own {
+                // Which command it calls is looked at where that is known.
+                request.extensions_mut().insert(OnlyReads::Holder { who: limit.who.clone() });
+            }
+            request.extensions_mut().insert(limit);
+        }
+        None => {}
     }
     next.run(request).await
 }
@@ -132,32 +150,44 @@ pub(crate) async fn known(State(access): State<Arc<Access>>, mut request: Reques
 /// says about itself. The services ask neither for a verb nor for a kind of content.
 pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Request, next: Next) -> Response {
     let asked = request.uri().path();
+    let verb = || asked.rsplit('/').next().unwrap_or_default().to_owned();
+    if let Some(Bounded { who, role, for_own }) = request.extensions().get() {
+        let right = right(asked);
+        if may(*role, right, *for_own) {
+            return next.run(request).await;
+        }
+        let refusal = Refusal::RoleForbidden { what: verb(), caller: who.clone(), needs: needed(right) };
+        access.refused.lock().warn(now_ns(), &refusal.to_string());
+        return status(&refusal).into_http::<Body>();
+    }
     match request.extensions().get::<OnlyReads>() {
-        Some(limit) if !READING.contains(&asked) => {
-            let refusal = limit.refusal(asked.rsplit('/').next().unwrap_or_default().to_owned());
+        Some(limit) if !rights::only_reads(asked) => {
+            let refusal = limit.refusal(verb());
             access.refused.lock().warn(now_ns(), &refusal.to_string());
             status(&refusal).into_http::<Body>()
         }
-        Some(OnlyReads::Caller { .. }) => match access.readers.clone().try_acquire_owned() {
-            // Held by the answer until its last part has gone.
-            Ok(permit) => next.run(request).await.map(|body| {
-                Body::new(body.map_frame(move |frame| {
-                    let _held = &permit;
-                    frame
-                }))
-            }),
-            Err(_) => {
-                let said = format!(
-                    "other users' programs have {READERS} requests open here, which is all they get: end some, or ask again"
-                );
-                // A program that reads video looks at the HTTP status alone.
-                if is_grpc(request.headers()) {
-                    Status::resource_exhausted(said).into_http::<Body>()
-                } else {
-                    (StatusCode::SERVICE_UNAVAILABLE, said + "\n").into_response()
+        Some(OnlyReads::Caller { .. } | OnlyReads::Holder { .. }) => {
+            match access.readers.clone().try_acquire_owned() {
+                // Held by the answer until its last part has gone.
+                Ok(permit) => next.run(request).await.map(|body| {
+                    Body::new(body.map_frame(move |frame| {
+                        let _held = &permit;
+                        frame
+                    }))
+                }),
+                Err(_) => {
+                    let said = format!(
+                        "other users' programs have {READERS} requests open here, which is all they get: end some, or ask again"
+                    );
+                    // A program that reads video looks at the HTTP status alone.
+                    if is_grpc(request.headers()) {
+                        Status::resource_exhausted(said).into_http::<Body>()
+                    } else {
+                        (StatusCode::SERVICE_UNAVAILABLE, said + "\n").into_response()
+                    }
                 }
             }
-        },
+        }
         _ => next.run(request).await,
     }
 }
@@ -166,63 +196,18 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use std::collections::BTreeSet;
     use std::convert::Infallible;
     use std::sync::mpsc;
     use std::task::{Context, Poll};
 
     use axum::http::{Method, Version};
-    use prost_reflect::DescriptorPool;
     use tonic::codegen::Service;
     use tonic::server::NamedService;
     use tonic::service::Routes;
-    use trocar_proto::FILE_DESCRIPTOR_SET;
 
     use super::super::{From, Peer};
     use super::*;
     use crate::control::web::with_page;
-
-    /// Methods that change something; a method in neither list is undecided.
-    const CHANGING: [&str; 26] = [
-        "/trocar.v1.AttachService/Attach",
-        "/trocar.v1.AttachService/Feed",
-        "/trocar.v1.AttachService/Supervise",
-        "/trocar.v1.AttachService/Tell",
-        "/trocar.v1.GcmService/Apply",
-        "/trocar.v1.GcmService/Configure",
-        "/trocar.v1.GcmService/Connect",
-        "/trocar.v1.GcmService/Create",
-        "/trocar.v1.GcmService/Disconnect",
-        "/trocar.v1.GcmService/Forget",
-        "/trocar.v1.GcmService/Move",
-        "/trocar.v1.GcmService/Remove",
-        "/trocar.v1.GcmService/Replace",
-        "/trocar.v1.GcmService/Reset",
-        "/trocar.v1.GcmService/Restart",
-        "/trocar.v1.GcmService/Resume",
-        "/trocar.v1.GcmService/Start",
-        "/trocar.v1.GcmService/Stop",
-        "/trocar.v1.GuestService/Hold",
-        "/trocar.v1.GuestService/Join",
-        "/trocar.v1.GuestService/Require",
-        "/trocar.v1.InteractService/Emit",
-        "/trocar.v1.PluginService/Load",
-        "/trocar.v1.PluginService/Recheck",
-        "/trocar.v1.PluginService/Reload",
-        "/trocar.v1.PluginService/Unload",
-    ];
-
-    #[test]
-    fn every_method_there_is_either_reads_or_changes() {
-        let pool = DescriptorPool::decode(FILE_DESCRIPTOR_SET).unwrap();
-        let all: BTreeSet<String> = pool
-            .services()
-            .flat_map(|s| s.methods().map(|m| format!("/{}/{}", s.full_name(), m.name())).collect::<Vec<_>>())
-            .collect();
-        let reading = READING.iter().filter(|m| m.starts_with("/trocar."));
-        let judged: BTreeSet<String> = reading.chain(&CHANGING).map(|m| (*m).to_owned()).collect();
-        assert_eq!(judged, all, "say of a new method whether it reads (READING) or changes something");
-    }
 
     /// Asks as an unknown caller, in each way the services would answer; returns the methods that ran.
     async fn ran(path: &str) -> Vec<String> {
@@ -286,7 +271,14 @@ mod tests {
     }
 
     fn peer(uid: Option<u32>) -> Peer {
-        Peer { from: From::Address(([127, 0, 0, 1], 4242).into()), uid }
+        Peer { from: From::Address(([127, 0, 0, 1], 4242).into()), uid, holder: None }
+    }
+
+    fn reads(limit: Option<Limit>) -> OnlyReads {
+        match limit {
+            Some(Limit::Reads(limit)) => limit,
+            _ => panic!("it may do more than read"),
+        }
     }
 
     fn access(tokens: Option<RuntimeDir>) -> Access {
@@ -316,7 +308,7 @@ mod tests {
             (Some(peer(None)), "an unknown user at 127.0.0.1:4242"),
             (None, "an unknown caller"),
         ] {
-            let limit = access.limit(caller.as_ref(), &none, true).unwrap();
+            let limit = reads(access.limit(caller.as_ref(), &none, true));
             let refusal = limit.refusal("Create".into());
             assert_eq!(refusal.reason(), "FORBIDDEN");
             let said = refusal.to_string();
@@ -333,7 +325,7 @@ mod tests {
         let token = tokens.token().unwrap();
         assert!(access.limit(Some(&stranger), &with(&token), true).is_none());
         for wrong in ["", &token[1..], &token.replace(|_: char| true, "0"), &format!("{token}0")] {
-            let limit = access.limit(Some(&stranger), &with(wrong), true).unwrap();
+            let limit = reads(access.limit(Some(&stranger), &with(wrong), true));
             let said = limit.refusal("Create".into()).to_string();
             assert!(said.contains("a token that is not this host's"), "{said}");
         }
@@ -346,7 +338,7 @@ mod tests {
         let rules = PortRules { viewer: Viewer::ReadOnly, ..PortRules::default() };
         let access = Access { rules, ..access(None) };
         let (own, none) = (peer(Some(1000)), HeaderMap::new());
-        assert!(matches!(access.limit(Some(&own), &none, false), Some(OnlyReads::Page)));
+        assert!(matches!(access.limit(Some(&own), &none, false), Some(Limit::Reads(OnlyReads::Page))));
         assert!(access.limit(Some(&own), &none, true).is_none());
     }
 

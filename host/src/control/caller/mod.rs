@@ -1,23 +1,27 @@
 //! The peer of a connection of the port: its identity, and its rights.
 //!
-//! Invariant: the kernel identifies the peer; its own words count only as far as it holds the token of this
-//! host's user. An unknown caller may read, and nothing else.
+//! Invariant: the kernel identifies the peer, or a certificate of the system's authority does; its own words
+//! count only as far as it holds the token of this host's user. An unknown caller may read, and nothing else.
 
 mod access;
 mod bearer;
 mod owner;
+mod rights;
 mod rules;
 
 use std::fmt;
 use std::io;
 use std::net::SocketAddr;
+use std::sync::Arc;
 
 use rustix::io::Errno;
 use tokio::net::{TcpStream, UnixStream};
+use trocar_net::Holder;
 
 pub(super) use self::access::{Access, OnlyReads, READERS, known, only_reads};
 pub use self::bearer::Tokened;
 pub(super) use self::bearer::with_token;
+pub(super) use self::rights::is_process;
 pub use self::rules::{PortRules, Viewer};
 
 /// The peer of a connection. Every request on the connection carries one.
@@ -26,6 +30,8 @@ pub(crate) struct Peer {
     from: From,
     /// `None`: the kernel does not say.
     uid: Option<u32>,
+    /// By its certificate, which it has shown where it comes from beyond the loopback.
+    holder: Option<Arc<Holder>>,
 }
 
 #[derive(Clone, Debug)]
@@ -50,13 +56,22 @@ impl Peer {
                 None
             }
         };
-        Ok(Peer { from: From::Address(addr), uid })
+        Ok(Peer { from: From::Address(addr), uid, holder: None })
     }
 
     pub(super) fn of_unix(stream: &UnixStream) -> Peer {
         let known = stream.peer_cred().inspect_err(|e| log::debug!("who calls cannot be told: {e}")).ok();
         let pid = known.as_ref().and_then(tokio::net::unix::UCred::pid);
-        Peer { from: From::Socket { pid }, uid: known.map(|known| known.uid()) }
+        Peer { from: From::Socket { pid }, uid: known.map(|known| known.uid()), holder: None }
+    }
+
+    pub(super) fn of_holder(holder: Arc<Holder>, addr: SocketAddr) -> Peer {
+        Peer { from: From::Address(addr), uid: None, holder: Some(holder) }
+    }
+
+    /// The holder of the certificate that it has shown, if it was asked for one.
+    pub(super) fn holder(&self) -> Option<&Arc<Holder>> {
+        self.holder.as_ref()
     }
 
     /// The user of its program, as the kernel has it.
@@ -72,9 +87,10 @@ impl Peer {
 
 impl fmt::Display for Peer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.uid {
-            Some(uid) => write!(f, "user {uid}")?,
-            None => f.write_str("an unknown user")?,
+        match (&self.holder, self.uid) {
+            (Some(holder), _) => write!(f, "{holder}")?,
+            (None, Some(uid)) => write!(f, "user {uid}")?,
+            (None, None) => f.write_str("an unknown user")?,
         }
         match &self.from {
             From::Address(addr) => write!(f, " at {addr}"),

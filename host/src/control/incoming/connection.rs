@@ -1,8 +1,8 @@
 //! A connection of the port: its bytes, and whether its caller has asked anything yet.
 //!
 //! Invariant: a caller that does not ask within [`PATIENCE`] is let go, as is a caller that gives its place
-//! to another; a caller that has asked once keeps its connection, whatever it does then. Opening HTTP/2 does
-//! not count as asking.
+//! to another; a caller that has asked once keeps its connection, whatever it does then, unless its
+//! certificate is revoked. Opening HTTP/2 does not count as asking.
 
 use std::io::{self, IoSlice};
 use std::pin::{Pin, pin};
@@ -11,7 +11,9 @@ use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpStream, UnixStream};
+use tokio::sync::oneshot;
 use tokio::time::{Sleep, sleep};
+use tokio_rustls::server::TlsStream;
 use tonic::transport::server::Connected;
 use trocar_rt::os::{Unshared, unshared};
 
@@ -26,6 +28,7 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 pub(super) enum Stream {
     Tcp(TcpStream),
     Unix(UnixStream),
+    Tls(Box<TlsStream<TcpStream>>),
 }
 
 /// A caller that was let in.
@@ -36,6 +39,8 @@ pub(crate) struct Connection {
     stream: Stream,
     peer: Peer,
     seat: Seat,
+    /// Dropped at the other end when the caller's certificate is revoked; `None`: it has shown none.
+    belief: Option<oneshot::Receiver<()>>,
     /// The first request as far as it has come, and the time limit for it; `None` once it has come.
     silence: Option<(Head, Pin<Box<Sleep>>)>,
 }
@@ -46,8 +51,20 @@ impl Connection {
         let _unshared = match &stream {
             Stream::Tcp(stream) => unshared(stream),
             Stream::Unix(stream) => unshared(stream),
+            Stream::Tls(stream) => unshared(stream.get_ref().0),
         };
-        Connection { _unshared, stream, peer, seat, silence }
+        Connection { _unshared, stream, peer, seat, belief: None, silence }
+    }
+
+    /// Ends when what is at the other end of `belief` is dropped.
+    pub(super) fn believed(self, belief: oneshot::Receiver<()>) -> Connection {
+        Connection { belief: Some(belief), ..self }
+    }
+
+    /// Tells whether the caller is not believed any more.
+    fn poll_revoked(&mut self, cx: &mut Context<'_>) -> bool {
+        let Some(belief) = &mut self.belief else { return false };
+        Pin::new(belief).poll(cx).is_ready()
     }
 }
 
@@ -62,10 +79,16 @@ impl Connected for Connection {
 impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
+        if this.poll_revoked(cx) {
+            // A receiver that was ready is asked no more.
+            this.belief = Some(oneshot::channel().1);
+            return Poll::Ready(Ok(()));
+        }
         let before = buf.filled().len();
         let read = match &mut this.stream {
             Stream::Tcp(stream) => Pin::new(stream).poll_read(cx, buf),
             Stream::Unix(stream) => Pin::new(stream).poll_read(cx, buf),
+            Stream::Tls(stream) => Pin::new(stream).poll_read(cx, buf),
         };
         let Some((head, patience)) = &mut this.silence else { return read };
         if read.is_ready() {
@@ -89,6 +112,7 @@ impl AsyncWrite for Connection {
         match &mut self.get_mut().stream {
             Stream::Tcp(stream) => pin!(stream).poll_write(cx, buf),
             Stream::Unix(stream) => pin!(stream).poll_write(cx, buf),
+            Stream::Tls(stream) => pin!(stream).poll_write(cx, buf),
         }
     }
 
@@ -100,6 +124,7 @@ impl AsyncWrite for Connection {
         match &mut self.get_mut().stream {
             Stream::Tcp(stream) => pin!(stream).poll_write_vectored(cx, bufs),
             Stream::Unix(stream) => pin!(stream).poll_write_vectored(cx, bufs),
+            Stream::Tls(stream) => pin!(stream).poll_write_vectored(cx, bufs),
         }
     }
 
@@ -107,6 +132,7 @@ impl AsyncWrite for Connection {
         match &self.stream {
             Stream::Tcp(stream) => stream.is_write_vectored(),
             Stream::Unix(stream) => stream.is_write_vectored(),
+            Stream::Tls(stream) => stream.is_write_vectored(),
         }
     }
 
@@ -114,6 +140,7 @@ impl AsyncWrite for Connection {
         match &mut self.get_mut().stream {
             Stream::Tcp(stream) => pin!(stream).poll_flush(cx),
             Stream::Unix(stream) => pin!(stream).poll_flush(cx),
+            Stream::Tls(stream) => pin!(stream).poll_flush(cx),
         }
     }
 
@@ -121,6 +148,7 @@ impl AsyncWrite for Connection {
         match &mut self.get_mut().stream {
             Stream::Tcp(stream) => pin!(stream).poll_shutdown(cx),
             Stream::Unix(stream) => pin!(stream).poll_shutdown(cx),
+            Stream::Tls(stream) => pin!(stream).poll_shutdown(cx),
         }
     }
 }

@@ -6,6 +6,7 @@
 
 mod connection;
 mod seats;
+mod secure;
 
 use std::fs::File;
 use std::io;
@@ -23,7 +24,8 @@ use trocar_rt::os::{Unshared, now_ns, unshared};
 
 pub(super) use self::connection::Connection;
 use self::connection::Stream;
-use self::seats::Seats;
+use self::seats::{Guest, Seats};
+pub(super) use self::secure::Secure;
 use super::caller::Peer;
 use crate::runtime_dir::Placed;
 
@@ -135,10 +137,11 @@ impl Incoming {
 
     /// A place for it, if it may have one.
     fn seat(&mut self, stream: Stream, peer: Peer) -> Option<Connection> {
-        let guest = (!peer.is_of(self.user)).then(|| peer.user());
+        let guest = (!peer.is_of(self.user)).then(|| Guest::User(peer.user()));
+        let is_own = guest.is_none();
         match self.seats.take(guest) {
             Some(seat) => Some(Connection::new(stream, peer, seat)),
-            None if guest.is_none() => {
+            None if is_own => {
                 let most = seats::OWN;
                 let why = format!(
                     "{peer} was sent away: this user's programs have {most} connections here, which is the most: end some \

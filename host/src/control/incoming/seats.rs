@@ -25,15 +25,21 @@ pub(super) const OF_ONE: usize = 16;
 /// without end takes neither the files nor the memory of the host, and none of Stop's socket.
 pub(super) const OWN: usize = 768;
 
-/// A user as the kernel has it; `None`: it does not say.
-pub(super) type User = Option<u32>;
+/// A caller whose places are counted apart from those of the host's own user.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Guest {
+    /// Another user, as the kernel has it; `None`: it does not say.
+    User(Option<u32>),
+    /// The name in its certificate.
+    Holder(String),
+}
 
 /// The places of one port.
 #[derive(Debug, Default)]
 pub(super) struct Seats {
     /// Callers that have said nothing yet, in the order they came.
     silent: Mutex<BTreeMap<u64, Silent>>,
-    guests: Mutex<BTreeMap<User, usize>>,
+    guests: Mutex<BTreeMap<Guest, usize>>,
     /// Places that the host's own user has.
     own: AtomicUsize,
     next: AtomicU64,
@@ -52,7 +58,7 @@ pub(super) struct Seat {
     seats: Arc<Seats>,
     number: u64,
     life: Life,
-    guest: Option<User>,
+    guest: Option<Guest>,
 }
 
 /// The way a caller keeps its place.
@@ -68,8 +74,8 @@ enum Life {
 impl Seats {
     /// Takes a place, if there is one for such a caller; `guest`: another user, whose places are counted
     /// apart. If the host's own user has none left, one of its own silent callers gives way.
-    pub(super) fn take(self: &Arc<Self>, guest: Option<User>) -> Option<Seat> {
-        if let Some(user) = guest {
+    pub(super) fn take(self: &Arc<Self>, guest: Option<Guest>) -> Option<Seat> {
+        if let Some(user) = guest.clone() {
             let mut guests = self.guests.lock();
             let all: usize = guests.values().sum();
             let own = guests.get(&user).copied().unwrap_or(0);
@@ -122,7 +128,7 @@ impl Seat {
 impl Drop for Seat {
     fn drop(&mut self) {
         self.seats.silent.lock().remove(&self.number);
-        let Some(user) = self.guest else {
+        let Some(user) = self.guest.take() else {
             self.seats.own.fetch_sub(1, Ordering::Relaxed);
             return;
         };
@@ -181,16 +187,17 @@ mod tests {
     #[test]
     fn another_users_programs_have_so_many_places_and_take_nobody_elses() {
         let seats = Arc::new(Seats::default());
-        let mut guests: Vec<Seat> = (0..OF_ONE).map(|_| seats.take(Some(Some(7))).unwrap()).collect();
-        assert!(seats.take(Some(Some(7))).is_none());
+        let mut guests: Vec<Seat> =
+            (0..OF_ONE).map(|_| seats.take(Some(Guest::User(Some(7)))).unwrap()).collect();
+        assert!(seats.take(Some(Guest::User(Some(7)))).is_none());
         assert!(
-            seats.take(Some(Some(8))).is_some() && seats.take(Some(None)).is_some(),
+            seats.take(Some(Guest::User(Some(8)))).is_some() && seats.take(Some(Guest::User(None))).is_some(),
             "others have their own"
         );
         assert!(seats.take(None).is_some(), "the host's user is no guest");
         guests.pop();
-        guests.push(seats.take(Some(Some(7))).unwrap());
-        let rest = (8..).map_while(|user| seats.take(Some(Some(user))));
+        guests.push(seats.take(Some(Guest::User(Some(7)))).unwrap());
+        let rest = (8..).map_while(|user| seats.take(Some(Guest::User(Some(user)))));
         guests.extend(rest.take(2 * GUESTS));
         assert_eq!(guests.len(), GUESTS, "and all of them together");
         guests.clear();
@@ -205,7 +212,7 @@ mod tests {
         let mut late = seats.take(None).expect("the silent one gives way");
         late.speaks();
         assert!(has_to_go(&mut callers[0]) && !has_to_go(&mut callers[1]));
-        let mut guest = seats.take(Some(Some(7))).expect("guests have places of their own");
+        let mut guest = seats.take(Some(Guest::User(Some(7)))).expect("guests have places of their own");
         assert!(seats.take(None).is_none(), "all have spoken");
         assert!(!has_to_go(&mut guest), "a guest makes no room for the own user");
         drop(guest);

@@ -118,7 +118,10 @@ impl PluginService for Edge {
         let answer = self.plugins(&r.process, Some(&r.name), until).await;
         let outcome = answer.as_ref().map_or_else(
             |status| status.message().to_owned(),
-            |(plugins, _)| format!("{} files looked at", plugins.len()),
+            |(plugins, _)| match plugins.len() {
+                1 => "1 file looked at".to_owned(),
+                n => format!("{n} files looked at"),
+            },
         );
         log::info!(target: "audit", "{who} asked {{\"recheck\":{{\"process\":\"{}\",\"name\":{:?}}}}}: {outcome}", r.process, r.name);
         let (plugins, warnings) = answer?;

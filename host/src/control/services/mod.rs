@@ -13,7 +13,6 @@ use serde_json::{Map, Value, json};
 use tokio::runtime::Handle;
 use tokio::sync::{Semaphore, watch};
 use tonic::client::Grpc;
-use tonic::transport::Endpoint;
 use tonic::{Request, Status};
 use tonic_types::StatusExt;
 use trocar_model::{ComponentId, Refusal};
@@ -22,8 +21,9 @@ use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
 use self::dynamic::{Dynamic, Rpc};
 use super::attach::MAX_MESSAGE;
-use super::caller::{Tokened, with_token};
-use super::leader::{addresses, find_leader, leader_named};
+use super::caller::Tokened;
+use super::dial::Dialler;
+use super::leader::{addresses, find_leader, innermost, leader_named};
 use super::server::{Caller, Commanded, Edge, FOLLOWED, Standing};
 use super::status::{code_name, status};
 use crate::gcm::Gcm;
@@ -55,6 +55,7 @@ enum Way {
 
 /// Several GCMs, of which one leads.
 struct Among {
+    dialler: Dialler,
     addrs: Vec<String>,
     /// The one that led when it was asked last.
     leader: Mutex<Option<(String, Tokened)>>,
@@ -65,7 +66,7 @@ impl Among {
         if let Some(known) = self.leader.lock().clone() {
             return Ok(known);
         }
-        let found = find_leader(&self.addrs, None, CONNECT).await.map_err(|said| {
+        let found = find_leader(&self.dialler, &self.addrs, None, CONNECT).await.map_err(|said| {
             let all: Vec<String> = said.iter().map(|(addr, why)| format!("{addr}: {why}")).collect();
             let why = format!("no GCM leads ({})", all.join("; "));
             status(&Refusal::NotLeader { leader: String::new(), why })
@@ -110,16 +111,15 @@ impl GcmServices {
     ///
     /// # Errors
     /// The address is malformed.
-    pub fn at(addr: &str) -> Result<GcmServices, String> {
+    pub fn at(addr: &str, dialler: &Dialler) -> Result<GcmServices, String> {
         let addrs = addresses(addr);
         if addrs.len() > 1 {
-            let way = Way::Among(Arc::new(Among { addrs, leader: Mutex::default() }));
+            let way =
+                Way::Among(Arc::new(Among { dialler: dialler.clone(), addrs, leader: Mutex::default() }));
             return Ok(GcmServices { runtime: Handle::current(), way, _open: watch::channel(()).0 });
         }
-        let bare = addr.strip_prefix("http://").unwrap_or(addr);
-        let endpoint = Endpoint::from_shared(format!("http://{bare}")).map_err(|e| e.to_string())?;
-        let channel = endpoint.connect_timeout(CONNECT).tcp_nodelay(true).connect_lazy();
-        let way = Way::There { addr: bare.into(), channel: with_token(channel) };
+        let channel = dialler.lazily(addr, CONNECT).map_err(|e| innermost(&*e))?;
+        let way = Way::There { addr: addr.strip_prefix("http://").unwrap_or(addr).into(), channel };
         Ok(GcmServices { runtime: Handle::current(), way, _open: watch::channel(()).0 })
     }
 }

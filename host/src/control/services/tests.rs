@@ -93,11 +93,12 @@ async fn a_gcm_elsewhere_answers_the_same_and_its_loss_is_named() {
         local: Some((name("host"), lcm)),
         managed_by: None,
         rules: PortRules::default(),
+        secured: None,
         runtime: None,
     });
     let server = server.await.unwrap();
     let addr = server.addr().to_string();
-    let (here, there) = (GcmServices::here(gcm), GcmServices::at(&addr).unwrap());
+    let (here, there) = (GcmServices::here(gcm), GcmServices::at(&addr, &super::Dialler::local()).unwrap());
     for request in [
         json!({ "verb": "Create", "path": "host/a", "class": "arm", "requestId": "one" }),
         json!({ "verb": "List", "brief": true }),

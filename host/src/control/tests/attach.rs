@@ -11,7 +11,7 @@ use trocar_model::{Health, ProcessState, Refusal, State, StopReason, SystemGraph
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use trocar_proto::v1::{self, attach_request, attach_response};
 
-use super::super::{Begin, Uplink, UplinkError};
+use super::super::{Begin, Dialler, Uplink, UplinkError};
 use super::{System, connect, create, link, reason, serve, start, stop};
 use crate::gcm::fake::{FakeLcm, comes, id, name, until};
 use crate::gcm::{Gcm, GcmConfig, Registration};
@@ -25,7 +25,7 @@ fn who(process: &str) -> Registration {
 }
 
 async fn attach(addr: &str, process: &str, lcm: &Arc<FakeLcm>) -> Result<Uplink, UplinkError> {
-    Uplink::start(addr.into(), who(process), lcm.clone(), Begin::AtOnce).await
+    Uplink::start(addr.into(), Dialler::local(), who(process), lcm.clone(), Begin::AtOnce).await
 }
 
 /// A GCM's system with a process "gui" attached over the wire.

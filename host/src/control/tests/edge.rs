@@ -481,11 +481,13 @@ async fn a_taken_port_and_an_open_address_are_refused_with_what_to_do() {
         local: None,
         managed_by: None,
         rules: PortRules::default(),
+        secured: None,
         runtime: None,
     };
-    for (listen, what, remedy) in
-        [(first.addr().to_string(), "taken", "--listen"), ("0.0.0.0:0".into(), "not authenticated", "SSH")]
-    {
+    for (listen, what, remedy) in [
+        (first.addr().to_string(), "taken", "--listen"),
+        ("0.0.0.0:0".into(), "nobody knows who calls", "--listen-tls"),
+    ] {
         let refused = Server::start(config(listen)).await.err().unwrap();
         let ServeError::Unusable { because, help } = &refused else { panic!("{refused:?}") };
         assert!(because.contains(what) && help.contains(remedy), "{refused:?}");

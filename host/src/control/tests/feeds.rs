@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use trocar_model::ProcessState;
 use trocar_proto::v1;
 
-use super::super::{Begin, Uplink};
+use super::super::{Begin, Dialler, Uplink};
 use super::{System, create, start, stop};
 use crate::gcm::Registration;
 use crate::gcm::fake::{FakeLcm, comes, name};
@@ -92,7 +92,9 @@ async fn attached() -> (System, Arc<FakeLcm>, Detour, Uplink) {
     let (s, lcm) = (System::start().await, FakeLcm::new("gui"));
     let detour = Detour::to(s.server.addr()).await;
     let who = Registration::new(name("gui"), "127.0.0.1:7".into());
-    let uplink = Uplink::start(detour.addr.to_string(), who, lcm.clone(), Begin::AtOnce).await.unwrap();
+    let uplink = Uplink::start(detour.addr.to_string(), Dialler::local(), who, lcm.clone(), Begin::AtOnce)
+        .await
+        .unwrap();
     (s, lcm, detour, uplink)
 }
 

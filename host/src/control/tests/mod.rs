@@ -44,6 +44,7 @@ async fn serve_by(rules: PortRules, listen: &str, gcm: Option<&Gcm>, local: Opti
         local: local.map(|lcm| (name("host"), lcm.clone() as Arc<dyn Lcm>)),
         managed_by: gcm.is_none().then(|| "127.0.0.1:50551".into()),
         rules,
+        secured: None,
         runtime: None,
     };
     Server::start(config).await.unwrap()

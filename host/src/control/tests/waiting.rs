@@ -7,7 +7,7 @@ use tonic::{Code, Request, Status};
 use trocar_model::State;
 use trocar_proto::v1;
 
-use super::super::{Begin, Uplink};
+use super::super::{Begin, Dialler, Uplink};
 use super::{System, create, in_time, reason, start};
 use crate::gcm::Registration;
 use crate::gcm::fake::{FakeLcm, name};
@@ -79,7 +79,8 @@ async fn an_event_of_an_attached_process_reaches_who_waits() {
     let s = System::start().await;
     let lcm = FakeLcm::new("gui");
     let who = Registration::new(name("gui"), "127.0.0.1:7".into());
-    let _uplink = Uplink::start(s.server.addr().to_string(), who, lcm.clone(), Begin::AtOnce).await.unwrap();
+    let (addr, dialler) = (s.server.addr().to_string(), Dialler::local());
+    let _uplink = Uplink::start(addr, dialler, who, lcm.clone(), Begin::AtOnce).await.unwrap();
     s.gcm().create(create("gui/a")).await.unwrap();
     let waiting = wait(&s, event("gui/a/arm/moved"));
     lcm.followed(1).await;

@@ -30,6 +30,7 @@ use self::orders::Told;
 use self::session::Session;
 use self::way::Grpc;
 pub use self::way::{Inbound, Line, Refused, Way};
+use crate::control::dial::Dialler;
 use crate::gcm::{Registration, Slice};
 use crate::lcm::Lcm;
 
@@ -84,15 +85,16 @@ impl Uplink {
     /// Attaches, and stays attached in the background.
     ///
     /// # Errors
-    /// Nobody answers at `addr` (`HOST:PORT`, or several with commas between), or the GCM refuses this
-    /// process. A later loss only means dialing again.
+    /// Nobody answers at `addr` (`HOST:PORT`, `https://HOST:PORT`, or several with commas between), or the
+    /// GCM refuses this process. A later loss only means dialing again.
     pub async fn start(
         addr: String,
+        dialler: Dialler,
         registration: Registration,
         lcm: Arc<dyn Lcm>,
         begin: Begin,
     ) -> Result<Uplink, UplinkError> {
-        let way = Grpc::new(&addr, ATTEMPT);
+        let way = Grpc::new(&addr, dialler, ATTEMPT);
         Uplink::over(way, addr, registration, lcm, begin).await
     }
 

@@ -1,5 +1,5 @@
-//! Questions of the GCM, which change nothing but what components do when they are called: answered by the LCM
-//! of this process, over whichever stream they came by.
+//! Questions of the GCM, which change nothing but what components do when they are called: answered by the
+//! LCM of this process, over whichever stream they came by.
 //!
 //! Invariant: each question runs in its own task, so that none delays another; every one is answered, if only
 //! with a refusal. What is followed ends with its stream.

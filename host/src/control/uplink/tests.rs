@@ -12,7 +12,14 @@ async fn a_gcm_that_hangs_finds_no_hello_of_an_attempt_that_was_given_up() {
     let hung = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let addr = hung.local_addr().unwrap().to_string();
     let who = Registration::new(name("left-behind"), "127.0.0.1:7".into());
-    let refused = Uplink::start(addr.clone(), who, FakeLcm::new("left-behind"), Begin::AtOnce).await;
+    let refused = Uplink::start(
+        addr.clone(),
+        crate::control::Dialler::local(),
+        who,
+        FakeLcm::new("left-behind"),
+        Begin::AtOnce,
+    )
+    .await;
     let refused = refused.map(|_| ()).unwrap_err();
     let within = format!("it did not answer within {} s", ATTEMPT.as_secs());
     assert_eq!(refused, UplinkError::NoGcm { addr, because: within });

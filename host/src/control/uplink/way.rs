@@ -18,7 +18,7 @@ use trocar_proto::v1::attach_service_client::AttachServiceClient;
 use super::feed::{FeedInbound, FeedOutgoing, Feeder};
 use crate::control::attach::MAX_MESSAGE;
 use crate::control::caller::Tokened;
-use crate::control::dial::dial_pinged;
+use crate::control::dial::Dialler;
 use crate::control::leader::{Leader, addresses, find_leader, innermost};
 
 /// Messages of a GCM, in the order in which it sent them.
@@ -63,6 +63,7 @@ pub trait Line: Send {
 
 /// A line over gRPC.
 pub(super) struct GrpcLine {
+    dialler: Dialler,
     addr: String,
     client: AttachServiceClient<Tokened>,
     each: Duration,
@@ -76,6 +77,7 @@ fn client(channel: Tokened) -> AttachServiceClient<Tokened> {
 
 /// The way over gRPC.
 pub(super) struct Grpc {
+    dialler: Dialler,
     /// Each `HOST:PORT`; of several GCMs, the one that leads is looked for.
     addrs: Vec<String>,
     /// Time for each of them to answer.
@@ -94,10 +96,10 @@ struct Found {
 impl Grpc {
     /// The way to the GCM at that address, or to the one that leads among several, with commas between them.
     /// `within`: time for all of them to answer.
-    pub(super) fn new(addr: &str, within: Duration) -> Grpc {
+    pub(super) fn new(addr: &str, dialler: Dialler, within: Duration) -> Grpc {
         let addrs = addresses(addr);
         let each = within / u32::try_from(addrs.len().clamp(1, 3)).unwrap_or(1);
-        Grpc { addrs, each, found: Mutex::default() }
+        Grpc { dialler, addrs, each, found: Mutex::default() }
     }
 }
 
@@ -115,7 +117,8 @@ impl Way for Grpc {
         };
         let order: Vec<String> =
             self.addrs.iter().cycle().skip(first).take(self.addrs.len()).cloned().collect();
-        let leader = find_leader(&order, None, self.each).await.map_err(|said| unheard(&said))?;
+        let leader =
+            find_leader(&self.dialler, &order, None, self.each).await.map_err(|said| unheard(&said))?;
         let mut found = self.found.lock();
         if self.addrs.len() > 1 && leader.term < found.term {
             let Leader { addr, term, .. } = leader;
@@ -124,7 +127,8 @@ impl Way for Grpc {
         }
         found.term = leader.term;
         found.at = self.addrs.iter().position(|addr| *addr == leader.addr).unwrap_or(first);
-        Ok(GrpcLine { addr: leader.addr, client: client(leader.channel), each: self.each })
+        let (dialler, each) = (self.dialler.clone(), self.each);
+        Ok(GrpcLine { dialler, addr: leader.addr, client: client(leader.channel), each })
     }
 }
 
@@ -146,15 +150,20 @@ impl Line for GrpcLine {
     }
 
     fn feeder(&self) -> Option<Feeder> {
-        let (uri, each) = (format!("http://{}", self.addr), self.each);
-        Some(Box::new(move |outgoing| Box::pin(opened(uri.clone(), each, outgoing))))
+        let (dialler, addr, each) = (self.dialler.clone(), self.addr.clone(), self.each);
+        Some(Box::new(move |outgoing| Box::pin(opened(dialler.clone(), addr.clone(), each, outgoing))))
     }
 }
 
-async fn opened(uri: String, within: Duration, outgoing: FeedOutgoing) -> Result<FeedInbound, Refused> {
-    let channel = match dial_pinged(&uri, within).await {
+async fn opened(
+    dialler: Dialler,
+    addr: String,
+    within: Duration,
+    outgoing: FeedOutgoing,
+) -> Result<FeedInbound, Refused> {
+    let channel = match dialler.dial_pinged(&addr, within).await {
         Ok(channel) => channel,
-        Err(e) => return Err(Refused::Unheard(innermost(&e))),
+        Err(e) => return Err(Refused::Unheard(innermost(&*e))),
     };
     match client(channel).feed(ReceiverStream::new(outgoing)).await {
         Ok(stream) => Ok(Box::pin(stream.into_inner())),

@@ -1,8 +1,9 @@
 //! Guard against other web pages: a browser asks only from pages this port served, under a name of this
 //! machine.
 //!
-//! Invariant: a request with any sign of a browser is let in only when Host is a loopback name and Origin, if
-//! there is one, is that Host; there is no CORS, so no other site's script ever reads an answer.
+//! Invariant: a request with any sign of a browser is let in only when Host is a loopback name, or the
+//! browser has compared it with the port's certificate, and Origin, if there is one, is that Host; there is
+//! no CORS, so no other site's script ever reads an answer.
 
 use std::net::IpAddr;
 
@@ -14,11 +15,17 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tonic::Status;
 
+use crate::control::caller::Peer;
 use crate::control::kind::{is_grpc, is_program, text};
 
 /// Judges each request before the port serves it.
 pub(super) async fn guard(request: Request, next: Next) -> Response {
-    match judge(request.method(), request.version(), host_of(&request), request.headers()) {
+    let way = if request.extensions().get::<Peer>().is_some_and(|peer| peer.holder().is_some()) {
+        Way::Encrypted
+    } else {
+        Way::Loopback
+    };
+    match judge(way, request.method(), request.version(), host_of(&request), request.headers()) {
         Ok(()) => next.run(request).await,
         Err(why) => refuse(&request, &why),
     }
@@ -29,16 +36,30 @@ fn host_of(request: &Request) -> Option<&str> {
     request.uri().authority().map(|a| a.as_str()).or_else(|| text(request.headers(), HOST.as_str()))
 }
 
-/// Browsers speak HTTP/2 only under TLS, which is not served here, and send Origin with every request but a
-/// plain GET.
-fn judge(method: &Method, version: Version, host: Option<&str>, headers: &HeaderMap) -> Result<(), String> {
+/// The way by which a request came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    Loopback,
+    /// Under TLS: a browser has compared the name it asked for with the certificate.
+    Encrypted,
+}
+
+/// Browsers send Origin with every request but a plain GET, and Sec-Fetch-Site under TLS and on the loopback.
+fn judge(
+    way: Way,
+    method: &Method,
+    version: Version,
+    host: Option<&str>,
+    headers: &HeaderMap,
+) -> Result<(), String> {
+    let scheme = if way == Way::Encrypted { "https://" } else { "http://" };
     let origin = text(headers, ORIGIN.as_str());
     let site = text(headers, "sec-fetch-site");
     if is_program(version, headers) {
         return Ok(());
     }
     let host = host.unwrap_or_default();
-    if !is_loopback(host) {
+    if way == Way::Loopback && !is_loopback(host) {
         return Err(format!(
             "it was asked for as \"{}\", which is no name of this machine's loopback: open it as http://localhost:PORT/ or \
              http://127.0.0.1:PORT/, from elsewhere through an SSH tunnel",
@@ -46,10 +67,10 @@ fn judge(method: &Method, version: Version, host: Option<&str>, headers: &Header
         ));
     }
     if let Some(origin) = origin
-        && !origin.strip_prefix("http://").is_some_and(|from| from.eq_ignore_ascii_case(host))
+        && !origin.strip_prefix(scheme).is_some_and(|from| from.eq_ignore_ascii_case(host))
     {
         return Err(format!(
-            "a page of \"{}\" asked, and only the viewer's own page at http://{host}/ may",
+            "a page of \"{}\" asked, and only the viewer's own page at {scheme}{host}/ may",
             shown(origin)
         ));
     }
@@ -58,9 +79,10 @@ fn judge(method: &Method, version: Version, host: Option<&str>, headers: &Header
         // A link from another site to the viewer: it opens our own page, which the other site cannot look
         // into.
         Some(_) if method == Method::GET && text(headers, "sec-fetch-dest") == Some("document") => Ok(()),
-        Some(site) => {
-            Err(format!("a {} page asked, and only the viewer's own page at http://{host}/ may", shown(site)))
-        }
+        Some(site) => Err(format!(
+            "a {} page asked, and only the viewer's own page at {scheme}{host}/ may",
+            shown(site)
+        )),
     }
 }
 
@@ -118,7 +140,7 @@ mod tests {
             let name = axum::http::HeaderName::from_bytes(name.as_bytes()).unwrap();
             map.append(name, value.parse().unwrap());
         }
-        judge(&Method::POST, version, Some(host), &map)
+        judge(Way::Loopback, &Method::POST, version, Some(host), &map)
     }
 
     #[test]
@@ -164,6 +186,27 @@ mod tests {
     }
 
     #[test]
+    fn under_tls_a_page_of_that_very_port_may_ask_and_no_other() {
+        let asked = |origin: &str, site: &str| {
+            let mut map = HeaderMap::new();
+            map.insert(ORIGIN, origin.parse().unwrap());
+            map.insert("sec-fetch-site", site.parse().unwrap());
+            judge(Way::Encrypted, &Method::POST, Version::HTTP_2, Some("or1.local:50552"), &map)
+        };
+        assert_eq!(asked("https://or1.local:50552", "same-origin"), Ok(()));
+        for (origin, site) in [
+            ("https://evil.example", "cross-site"),
+            ("http://or1.local:50552", "same-origin"),
+            ("https://or1.local", "same-site"),
+            ("https://or1.local:50552", "cross-site"),
+            ("null", "none"),
+        ] {
+            let why = asked(origin, site).unwrap_err();
+            assert!(why.contains("https://or1.local:50552/ may"), "{origin} {site}: {why}");
+        }
+    }
+
+    #[test]
     fn a_program_that_speaks_grpc_is_asked_nothing_and_one_that_shows_a_page_behind_it_is() {
         assert_eq!(asked(Version::HTTP_2, "any.name", &[]), Ok(()));
         assert!(asked(Version::HTTP_2, "localhost:1", &[("origin", "http://evil.example")]).is_err());
@@ -177,7 +220,7 @@ mod tests {
             let mut map = HeaderMap::new();
             map.insert("sec-fetch-site", "cross-site".parse().unwrap());
             map.insert("sec-fetch-dest", dest.parse().unwrap());
-            judge(&Method::GET, Version::HTTP_11, Some("localhost:1"), &map)
+            judge(Way::Loopback, &Method::GET, Version::HTTP_11, Some("localhost:1"), &map)
         };
         assert_eq!(from("document"), Ok(()));
         for dest in ["image", "script", "iframe", "empty"] {

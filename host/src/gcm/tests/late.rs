@@ -68,6 +68,34 @@ async fn settings_that_are_taken_late_count_unless_others_were_given_since() {
 }
 
 #[tokio::test]
+async fn a_failed_component_keeps_the_settings_that_it_took_late() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a"), start("host/a")]).await.unwrap();
+    let change = planned(&gcm, &configure("host/a"));
+    let Change::Configure { to, .. } = &change else { panic!("{change:?}") };
+    let configured = || lcm.done().into_iter().filter(|done| done.starts_with("Configure")).count();
+    let before = configured();
+    lcm.become_state("host/a", State::Fault, "it broke");
+    until(&gcm, "it has failed", |graph| graph.components[&id("host/a")].state == State::Fault).await;
+    let has = lcm.inventory().await.unwrap().components.remove(0);
+    lcm.news.send(News::Late(Box::new(change.clone()), Decision::MOST, has)).unwrap();
+    until(&gcm, "it is listed with them", |graph| graph.components[&id("host/a")].config == *to).await;
+    assert_eq!(configured(), before, "one in FAULT takes no settings");
+}
+
+#[tokio::test]
+async fn settings_that_it_does_not_give_back_are_what_it_is_listed_with() {
+    let (gcm, lcm) = system().await;
+    ask(&gcm, vec![create("host/a")]).await.unwrap();
+    let change = planned(&gcm, &configure("host/a"));
+    let Change::Configure { to, .. } = &change else { panic!("{change:?}") };
+    lcm.refuse("Configure host/a");
+    let has = lcm.inventory().await.unwrap().components.remove(0);
+    lcm.news.send(News::Late(Box::new(change.clone()), Decision::MOST, has)).unwrap();
+    until(&gcm, "it is listed with what it has", |graph| graph.components[&id("host/a")].config == *to).await;
+}
+
+#[tokio::test]
 async fn what_is_removed_late_is_gone_with_its_connections_and_a_new_revision() {
     let (gcm, lcm) = system().await;
     ask(&gcm, vec![create("host/a"), create("host/b"), connect("host/a/robot", "host/b/arm")]).await.unwrap();

@@ -245,3 +245,24 @@ async fn a_file_that_was_applied_before_a_stop_starts_nothing_after_it() {
     let applied = applying.await;
     assert_eq!(lcm.state("host/a"), Some(STOPPED), "{applied:?}: {:?}", lcm.done());
 }
+
+#[tokio::test]
+async fn a_process_that_comes_while_a_stop_is_carried_out_is_stopped_by_it() {
+    let (gcm, lcm) = running(&["host/arm"]).await;
+    let peer = FakeLcm::new("peer");
+    peer.become_state("peer/stray", State::Active, "");
+    // The Stop waits for the process that is there.
+    lcm.hold("Stop host/arm");
+    let stopping = tokio::spawn({
+        let gcm = gcm.clone();
+        async move { ask(&gcm, vec![stop("**")]).await }
+    });
+    comes("it is told to stop", lcm.hangs("Stop host/arm")).await;
+    let who = Registration::new(name("peer"), "127.0.0.1:7".into());
+    register(&gcm, who, peer.clone()).await.unwrap();
+    // It sets itself in motion after what its registration may have stopped.
+    peer.become_state("peer/stray", State::Active, "");
+    lcm.release("Stop host/arm");
+    comes("the Stop ends", stopping).await.unwrap().unwrap();
+    assert_eq!(peer.state("peer/stray"), Some(STOPPED), "an answered Stop that moves on");
+}

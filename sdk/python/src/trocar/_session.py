@@ -34,6 +34,7 @@ def connect(
     address: str | None = None,
     *,
     name: str = "ire",
+    identity: str | os.PathLike[str] | None = None,
     credentials: grpc.ChannelCredentials | None = None,
     deadline: float = 1.0,
     timeout: float = 5.0,
@@ -45,15 +46,17 @@ def connect(
 
     ``address`` is ``host:port``, or those of several GCMs with commas between them, of which the one that leads is looked for, now
     and whenever another does; left out, it is ``TROCAR_GCM`` of the environment or 127.0.0.1:50551. ``name`` is that of the process
-    under which the graph shows this session (the first free of ire, ire2, …); ``place=False`` stays unseen. ``credentials`` are
-    grpc's channel credentials, for a GCM behind TLS. ``deadline`` is how long calls wait unless they say otherwise, s; ``timeout``
-    how long connecting may take, s. ``say`` hears of the GCM lost and found (stderr otherwise). ``options`` go to grpc's channel.
+    under which the graph shows this session (the first free of ire, ire2, …); ``place=False`` stays unseen. For a GCM of another
+    machine, ``https://host:port``, ``identity`` is the file that `trocar ca issue` made (``TROCAR_IDENTITY`` otherwise);
+    ``credentials`` are grpc's channel credentials, for any other TLS. ``deadline`` is how long calls wait unless they say otherwise, s;
+    ``timeout`` how long connecting may take, s. ``say`` hears of the GCM lost and found (stderr otherwise). ``options`` go to grpc's
+    channel.
     """
     __tracebackhide__ = True
     where = _where(address)
     if not 0 < deadline <= 60:
         raise invalid(f"deadline is {deadline!r}; give seconds, above 0 and at most 60", field="deadline")
-    session = Session(Wire(where, credentials, options), name, deadline, say)
+    session = Session(Wire(where, credentials, options, identity), name, deadline, say)
     try:
         session._wire.look(timeout)
         session._graph.open(timeout)

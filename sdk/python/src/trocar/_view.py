@@ -39,7 +39,7 @@ def _head(rec: Any) -> str:
     else:
         parts.append("losses are not told in it")
     empty = len(rec) - len(_shown(rec))
-    parts += [f"{empty} topics without messages are not shown"] if empty else []
+    parts += [f"{empty} topic{'s' * (empty > 1)} without messages {'are' if empty > 1 else 'is'} not shown"] if empty else []
     return f"{rec.file}: {', '.join(parts)}" + ("" if rec.complete else f", not complete: {rec.why}")
 
 

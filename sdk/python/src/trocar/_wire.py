@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import os
 import queue
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ import grpc
 
 from . import _proto
 from ._door import stop_doors
-from ._errors import TrocarError, from_rpc
+from ._errors import TrocarError, from_rpc, invalid
 
 LARGEST = 256 << 20
 """Bytes of the largest answer taken: a frame in full size."""
@@ -47,20 +48,45 @@ STREAMS = 100
 """Streams one connection carries. A host takes 256; the rest of them would wait unseen."""
 
 
+def shown(identity: Any) -> Any:
+    """grpc's credentials of the identity in this file, which `trocar ca issue` made."""
+    remedy = "name the file of yours: identity=FILE or TROCAR_IDENTITY; `trocar ca issue` makes one"
+    if identity is None:
+        raise invalid(f"a certificate is asked for there: {remedy}", field="identity")
+    try:
+        with open(identity, "rb") as file:
+            whole = file.read()
+    except OSError as e:
+        raise invalid(f"{identity} cannot be read ({e.strerror}): {remedy}", field="identity") from e
+    blocks = re.findall(rb"-----BEGIN ([A-Z ]+)-----.*?-----END \1-----\s*", whole, re.S)
+    certificates = re.findall(rb"-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----\s*", whole, re.S)
+    if b"PRIVATE KEY" not in blocks or len(certificates) < 2:
+        raise invalid(f"{identity} is no identity, which has a key, a certificate and that of its authority: {remedy}", field="identity")
+    return grpc.ssl_channel_credentials(b"".join(certificates[1:]), whole, certificates[0])
+
+
 class Wire:
     """The way to one GCM, or to the one that leads among several. ``address`` is ``host:port``, or those of all with commas
-    between them; ``credentials`` are grpc's channel credentials, none = plain text.
+    between them; ``https://`` in front of one says that both sides show certificates there. ``identity`` is the file of ours,
+    ``credentials`` are grpc's channel credentials instead; neither = plain text.
 
     With ``TROCAR_TOKEN`` in the environment each request carries that token: another user's, who gave it (`trocar token`).
     """
 
-    def __init__(self, address: str, credentials: Any = None, options: list[tuple[str, Any]] | None = None) -> None:
+    def __init__(
+        self,
+        address: str,
+        credentials: Any = None,
+        options: list[tuple[str, Any]] | None = None,
+        identity: str | os.PathLike[str] | None = None,
+    ) -> None:
         self._among = [one.strip() for one in address.split(",") if one.strip()] or [address]
         self.address = self._among[0]
         self.moved: Callable[[], None] = lambda: None
         """Called when another GCM leads than before."""
         self._looking = threading.Lock()
         self._credentials = credentials
+        self._identity = identity or os.environ.get("TROCAR_IDENTITY", "").strip() or None
         self._merged = [*_OPTIONS, *(options or [])]
         token = os.environ.get("TROCAR_TOKEN", "").strip()
         self._metadata = (("authorization", f"Bearer {token}"),) if token else None
@@ -73,6 +99,10 @@ class Wire:
     def _channel(self, address: str) -> Any:
         # Channels that may share a connection would.
         options = [*self._merged, ("grpc.use_local_subchannel_pool", 1)]
+        bare = address.removeprefix("https://")
+        if bare != address:
+            # Nobody but a GCM has a certificate of that name.
+            return grpc.secure_channel(bare, shown(self._identity), [*options, ("grpc.ssl_target_name_override", "gcm.trocar")])
         if self._credentials is None:
             return grpc.insecure_channel(address, options)
         return grpc.secure_channel(address, self._credentials, options)
@@ -185,7 +215,7 @@ class Wire:
         name = "GcmService/Stop"
         # A path would be no name of a host.
         options = [*self._merged, ("grpc.use_local_subchannel_pool", 1), ("grpc.default_authority", "localhost")]
-        for path in stop_doors(address) if self._credentials is None and not self.closed else ():
+        for path in stop_doors(address) if self._credentials is None and not address.startswith("https://") and not self.closed else ():
             channel = grpc.insecure_channel(f"unix:{path}", options)
             try:
                 return _unary(channel, name)(request, timeout=timeout, metadata=self._metadata)

@@ -1,0 +1,237 @@
+//! Callers from beyond the loopback: let in once both sides have shown certificates of one authority.
+//!
+//! Invariant: nobody is listened to before its certificate was believed, and nobody whose certificate was
+//! revoked is for longer than [`LOOK`]. What strangers cost is bounded: places, and time for each.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use parking_lot::Mutex;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::task::AbortHandle;
+use tokio_rustls::TlsAcceptor;
+use trocar_links::Seldom;
+use trocar_net::{Holder, Revoked, Role, Server, said};
+use trocar_rt::os::now_ns;
+
+use super::connection::{Connection, Stream};
+use super::seats::{self, Guest, Seats};
+use super::{PAUSE, is_of_one_caller, why};
+use crate::control::caller::Peer;
+
+/// Time for a caller to show its certificate.
+const HANDSHAKE: Duration = Duration::from_secs(2);
+/// Callers that may be showing theirs at once, and those of them from one address.
+const SHAKING: usize = 64;
+const FROM_ONE: usize = 16;
+/// Interval at which the list of revoked certificates is looked at.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// The callers of a port that speaks TLS.
+pub(in crate::control) struct Secure {
+    let_in: mpsc::Receiver<Connection>,
+    tasks: [AbortHandle; 2],
+}
+
+/// What the tasks of a port share.
+struct Door {
+    server: Server,
+    acceptor: TlsAcceptor,
+    seats: Arc<Seats>,
+    beliefs: Beliefs,
+    shaking: Arc<Semaphore>,
+    from: Mutex<BTreeMap<IpAddr, usize>>,
+    turned_away: Mutex<Seldom>,
+}
+
+/// The connections there are, by a number of their own, with the number of their certificate.
+#[derive(Default)]
+struct Beliefs {
+    next: AtomicU64,
+    all: Mutex<BTreeMap<u64, Believed>>,
+}
+
+/// One that is believed as long as `keep` is not dropped.
+struct Believed {
+    holder: Arc<Holder>,
+    keep: oneshot::Sender<()>,
+}
+
+impl Beliefs {
+    fn add(&self, holder: &Arc<Holder>) -> oneshot::Receiver<()> {
+        let (keep, belief) = oneshot::channel();
+        let mut all = self.all.lock();
+        all.retain(|_, one| !one.keep.is_closed());
+        all.insert(self.next.fetch_add(1, Ordering::Relaxed), Believed { holder: holder.clone(), keep });
+        belief
+    }
+
+    /// Ends the connections of all whose certificate is revoked now.
+    fn revoke(&self, list: &Revoked) {
+        self.all.lock().retain(|_, Believed { holder, .. }| {
+            let is_revoked = list.has(&holder.serial);
+            if is_revoked {
+                log::warn!("the connection of the {holder} ends: its certificate was revoked");
+            }
+            !is_revoked
+        });
+    }
+}
+
+impl Secure {
+    pub(in crate::control) fn new(listener: TcpListener, server: Server) -> Secure {
+        let (tell, let_in) = mpsc::channel(1);
+        let door = Arc::new(Door {
+            acceptor: TlsAcceptor::from(server.config()),
+            server,
+            seats: Arc::default(),
+            beliefs: Beliefs::default(),
+            shaking: Arc::new(Semaphore::new(SHAKING)),
+            from: Mutex::default(),
+            turned_away: Mutex::default(),
+        });
+        let looking = tokio::spawn(door.clone().look()).abort_handle();
+        let letting = tokio::spawn(door.listen(listener, tell)).abort_handle();
+        Secure { let_in, tasks: [looking, letting] }
+    }
+}
+
+impl Drop for Secure {
+    fn drop(&mut self) {
+        self.tasks.iter().for_each(AbortHandle::abort);
+    }
+}
+
+impl tokio_stream::Stream for Secure {
+    type Item = io::Result<Connection>;
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        self.let_in.poll_recv(cx).map(|next| next.map(Ok))
+    }
+}
+
+impl Door {
+    /// Looks after the list of revoked certificates, for ever.
+    async fn look(self: Arc<Self>) {
+        let Some(list) = self.server.revoked().cloned() else { return };
+        let (mut look, mut edition) = (tokio::time::interval(LOOK), 0);
+        loop {
+            look.tick().await;
+            let now = list.look();
+            if now != edition {
+                edition = now;
+                self.beliefs.revoke(&list);
+            }
+        }
+    }
+
+    async fn listen(self: Arc<Self>, listener: TcpListener, tell: mpsc::Sender<Connection>) {
+        loop {
+            // Ends with the port alone, which never closes it.
+            let Ok(shaking) = self.shaking.clone().acquire_owned().await else { return };
+            let (stream, addr) = match listener.accept().await {
+                Ok(caller) => caller,
+                Err(e) if is_of_one_caller(&e) => continue,
+                Err(e) => {
+                    self.turn_away(&why(&e));
+                    tokio::time::sleep(PAUSE).await;
+                    continue;
+                }
+            };
+            let Some(from) = From::one(&self, addr.ip()) else {
+                let ip = addr.ip();
+                self.turn_away(&format!("{ip} opens more connections at once than the {FROM_ONE} it may"));
+                continue;
+            };
+            let (door, tell) = (self.clone(), tell.clone());
+            tokio::spawn(async move {
+                let shaken = door.shake(stream, addr).await;
+                drop((from, shaking));
+                match shaken {
+                    // Fails when the port has closed.
+                    Ok(connection) => _ = tell.send(connection).await,
+                    Err(why) => door.turn_away(&format!("{addr} was turned away: {why}")),
+                }
+            });
+        }
+    }
+
+    fn turn_away(&self, why: &str) {
+        self.turned_away.lock().warn(now_ns(), why);
+    }
+
+    /// Has a caller show its certificate, and finds it a place.
+    async fn shake(&self, stream: TcpStream, addr: SocketAddr) -> Result<Connection, String> {
+        use std::os::fd::AsRawFd;
+
+        if seats::is_of_the_last(stream.as_raw_fd()) {
+            return Err("this process may open no more files (ulimit -n)".into());
+        }
+        stream.set_nodelay(true).map_err(|e| e.to_string())?;
+        let shaken = tokio::time::timeout(HANDSHAKE, self.acceptor.accept(stream)).await;
+        let stream = match shaken {
+            Err(_) => return Err(format!("it showed no certificate within {} s", HANDSHAKE.as_secs())),
+            Ok(Err(e)) => return Err(because(&e)),
+            Ok(Ok(stream)) => stream,
+        };
+        let shown = stream.get_ref().1.peer_certificates().and_then(|all| all.first());
+        let holder = Arc::new(Holder::of(shown.ok_or("it shows no certificate")?)?);
+        let belief = self.beliefs.add(&holder);
+        // It may have been revoked between the two.
+        if self.server.revoked().is_some_and(|list| list.has(&holder.serial)) {
+            return Err("its certificate was revoked".into());
+        }
+        let guest = match holder.role {
+            Role::Viewer | Role::Operator => Some(Guest::Holder(holder.name.clone())),
+            Role::Administrator | Role::Host | Role::Gcm => None,
+        };
+        let most = if guest.is_some() { seats::OF_ONE } else { seats::OWN };
+        let Some(seat) = self.seats.take(guest) else {
+            return Err(format!("the {holder} has {most} connections here, which is the most: end some"));
+        };
+        let peer = Peer::of_holder(holder, addr);
+        Ok(Connection::new(Stream::Tls(Box::new(stream)), peer, seat).believed(belief))
+    }
+}
+
+/// A place among the callers of one address.
+struct From {
+    door: Arc<Door>,
+    ip: IpAddr,
+}
+
+impl From {
+    fn one(door: &Arc<Door>, ip: IpAddr) -> Option<From> {
+        let mut from = door.from.lock();
+        let here = from.entry(ip).or_insert(0);
+        if *here >= FROM_ONE {
+            return None;
+        }
+        *here += 1;
+        Some(From { door: door.clone(), ip })
+    }
+}
+
+impl Drop for From {
+    fn drop(&mut self) {
+        let mut from = self.door.from.lock();
+        let here = from.entry(self.ip).or_insert(1);
+        *here -= 1;
+        if *here == 0 {
+            from.remove(&self.ip);
+        }
+    }
+}
+
+/// Why a handshake failed.
+fn because(e: &io::Error) -> String {
+    let of_tls = e.get_ref().and_then(|inner| inner.downcast_ref::<tokio_rustls::rustls::Error>());
+    of_tls.map_or_else(|| e.to_string(), said)
+}

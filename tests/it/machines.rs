@@ -1,0 +1,230 @@
+//! What is reached from other machines.
+//!
+//! Promise: beyond the loopback both sides show certificates of one authority, each holder does what its role
+//! says and nothing else, and one whose certificate is taken back is cut off at once.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+use trocar_tests::{Grpcurl, HostProcess, Output, Trocar, World, eventually};
+
+/// A manager that other machines reach, and the authority of its system.
+struct Lab {
+    gcm: HostProcess,
+    world: World,
+}
+
+impl Lab {
+    fn new() -> Lab {
+        let world = World::with_plugins(&["example"]);
+        let trocar = Trocar::new(&world);
+        trocar.run(&["ca", "init"]).ends_with(0);
+        let issue = |rest: &str| {
+            let typed = format!("ca issue {rest}");
+            trocar.run(&typed.split(' ').collect::<Vec<_>>()).ends_with(0)
+        };
+        issue("or1 --role gcm --address 127.0.0.1");
+        issue("cart --role host --process cart --process cart-*");
+        issue("vera --role viewer");
+        issue("anna --role operator");
+        issue("chief --role administrator");
+        let list = trocar.run(&["ca", "revoked"]).ends_with(0).stdout.trim().to_owned();
+        let state = world.state().join("gcm");
+        let mut args: Vec<std::ffi::OsString> = [
+            "gcm",
+            "--listen",
+            "127.0.0.1:0",
+            "--listen-tls",
+            "127.0.0.1:0",
+            "--revoked",
+            &list,
+            "--identity",
+        ]
+        .map(Into::into)
+        .to_vec();
+        args.extend([world.path("or1.pem").into(), "--state".into(), state.into()]);
+        let gcm = HostProcess::spawn(&world, "gcm", &args);
+        Lab { gcm, world }
+    }
+
+    /// Where other machines reach the manager, `HOST:PORT`.
+    fn address(&self) -> String {
+        let printed = self.gcm.printed();
+        let found = printed.split("https://").nth(1).and_then(|rest| rest.split_whitespace().next());
+        found.unwrap_or_else(|| panic!("it says nothing of other machines:\n{printed}")).to_owned()
+    }
+
+    fn identity(&self, name: &str) -> PathBuf {
+        self.world.path(&format!("{name}.pem"))
+    }
+
+    fn types(&self, line: &str) -> Output {
+        let typed: Vec<&str> = line.split(' ').collect();
+        Trocar::at(&self.world, &format!("https://{}", self.address())).run(&typed)
+    }
+
+    fn grpc(&self, who: &str) -> Grpcurl {
+        Grpcurl::showing(&self.address(), &self.identity(who))
+    }
+
+    fn host(&self, name: &str, identity: &str) -> HostProcess {
+        let gcm = format!("https://{}", self.address());
+        let identity = self.identity(identity).display().to_string();
+        let host = HostProcess::start_with(&self.world, name, &["--gcm", &gcm, "--identity", &identity]);
+        eventually("it is attached", || self.is(name, "PROCESS_STATE_ATTACHED"));
+        host
+    }
+
+    fn is(&self, process: &str, state: &str) -> Result<(), String> {
+        let list = self.gcm.grpcurl().ok("GcmService/List", json!({ "brief": true }));
+        let all = list["processes"].as_array().cloned().unwrap_or_default();
+        let found = all.iter().find(|one| one["name"] == process).cloned().unwrap_or(Value::Null);
+        if found["state"] == state { Ok(()) } else { Err(format!("{process}: {found}")) }
+    }
+}
+
+#[test]
+fn a_host_and_the_tools_reach_the_manager_by_their_certificates() {
+    let lab = Lab::new();
+    let _host = lab.host("cart", "cart");
+    let (chief, anna) = (lab.grpc("chief"), lab.grpc("anna"));
+    chief.await_class("cart", "Server");
+    chief.create("cart/server", "Server", json!({}));
+    anna.start("cart/server");
+    anna.invoke("cart/server/Provided/Write", json!(30));
+    assert_eq!(lab.grpc("vera").invoke("cart/server/Provided/Read", Value::Null), json!(30));
+    lab.types("ls --identity anna.pem").ends_with(0).says("cart/server");
+    lab.types("stop cart/server --identity anna.pem").ends_with(0);
+    assert_eq!(chief.state("cart/server"), "STOPPED");
+    // Programs of this user on the manager's own machine need nothing, as ever.
+    assert_eq!(lab.gcm.grpcurl().state("cart/server"), "STOPPED");
+    let audit = std::fs::read_to_string(lab.world.state().join("gcm/audit.log")).unwrap_or_default();
+    assert!(audit.contains("operator anna at 127.0.0.1:"), "who asked is in the audit:\n{audit}");
+}
+
+#[test]
+fn each_role_does_what_it_may_and_is_told_what_it_takes_otherwise() {
+    let lab = Lab::new();
+    let _host = lab.host("cart", "cart");
+    lab.grpc("chief").await_class("cart", "Server");
+    lab.grpc("chief").create("cart/server", "Server", json!({}));
+    let create = json!({ "path": "cart/more", "class": "Server" });
+    let all = json!({ "paths": ["cart/**"] });
+    for (who, method, body, needs) in [
+        ("vera", "GcmService/Stop", &all, "the role operator"),
+        ("vera", "GcmService/Create", &create, "the role"),
+        ("anna", "GcmService/Create", &create, "the role administrator"),
+        ("anna", "PluginService/Recheck", &json!({}), "the role administrator"),
+        ("cart", "GcmService/Create", &create, "the role administrator"),
+        ("cart", "GcmService/Start", &all, "the role operator"),
+    ] {
+        let refused = lab.grpc(who).refused(method, body.clone());
+        let told = (refused.code, refused.reason.as_str(), refused.message.contains(needs));
+        assert_eq!(told, ("PERMISSION_DENIED", "ROLE_FORBIDDEN", true), "{who} {method}: {refused}");
+    }
+    let write = json!({ "path": "cart/server/Provided/Write", "json": 1 });
+    let refused = lab.grpc("vera").refused("InteractService/Invoke", write);
+    assert_eq!(refused.reason, "ROLE_FORBIDDEN", "{refused}");
+    lab.grpc("anna").ok("GcmService/Start", all);
+    assert_eq!(lab.grpc("vera").state("cart/server"), "ACTIVE");
+}
+
+#[test]
+fn a_host_is_no_process_that_its_certificate_does_not_name() {
+    let lab = Lab::new();
+    let _named = lab.host("cart-left", "cart");
+    let gcm = format!("https://{}", lab.address());
+    let line = format!("host --name left --listen 127.0.0.1:0 --state s --gcm {gcm} --identity cart.pem");
+    let trocar = Trocar::new(&lab.world);
+    let refused = trocar.run(&line.split(' ').collect::<Vec<_>>());
+    assert!(refused.code != 0, "{refused:?}");
+    refused.says("as process left").says("the process left");
+    // A person is no process at all.
+    let line = line.replace("cart.pem", "chief.pem");
+    trocar.run(&line.split(' ').collect::<Vec<_>>()).says("the role host or gcm");
+    assert!(lab.is("left", "PROCESS_STATE_ATTACHED").is_err());
+}
+
+#[test]
+fn whoever_shows_no_certificate_or_a_foreign_one_is_answered_nothing() {
+    let lab = Lab::new();
+    let address = lab.address();
+    lab.types("ls").ends_with(3).says("--identity FILE");
+    // Another authority's, of the same name and role.
+    let trocar = Trocar::new(&lab.world);
+    trocar.run(&["ca", "init", "--dir", "other"]).ends_with(0);
+    trocar
+        .run(&["ca", "issue", "--dir", "other", "chief", "--role", "administrator", "-o", "stranger.pem"])
+        .ends_with(0);
+    lab.types("ls --identity stranger.pem").ends_with(3).says("another authority");
+    let foreign = Grpcurl::showing(&address, &lab.identity("stranger")).call("GcmService/List", json!({}));
+    assert!(foreign.is_err(), "{foreign:?}");
+    // Plain text, and nothing at all.
+    assert!(Grpcurl::new(&address).call("GcmService/List", json!({})).is_err());
+    for said in [&b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"[..], &[0x16, 3, 1, 0xff, 0xff], &[0; 64]] {
+        let mut stranger = TcpStream::connect(&address).unwrap_or_else(|e| panic!("{e}"));
+        stranger.write_all(said).unwrap_or_else(|e| panic!("{e}"));
+        let mut heard = Vec::new();
+        // It ends at the latest after two seconds; a reset is an end as well.
+        let _ = stranger.read_to_end(&mut heard);
+        assert!(!String::from_utf8_lossy(&heard).contains("HTTP"), "{heard:?}");
+    }
+    lab.types("ls --identity vera.pem").ends_with(0);
+}
+
+#[test]
+fn strangers_that_say_nothing_keep_nobody_out() {
+    let lab = Lab::new();
+    let address = lab.address();
+    let silent: Vec<TcpStream> = (0..48).filter_map(|_| TcpStream::connect(&address).ok()).collect();
+    assert!(silent.len() > 32, "{} connections", silent.len());
+    // Each is let go after two seconds; those of one address have sixteen places meanwhile.
+    eventually("one that shows a certificate is answered", || {
+        lab.grpc("vera").call("GcmService/List", json!({ "brief": true })).map(drop)
+    });
+    drop(silent);
+}
+
+#[test]
+fn a_certificate_that_is_taken_back_ends_what_is_open_and_opens_nothing() {
+    let lab = Lab::new();
+    let _host = lab.host("cart", "cart");
+    let mut watch = lab.grpc("anna").stream("GcmService/Watch", &json!({}));
+    watch.until("it follows the system", |said| said.get("snapshot").is_some());
+    let trocar = Trocar::new(&lab.world);
+    trocar.run(&["ca", "revoke", "anna"]).ends_with(0).says("operator anna");
+    watch.ended("its certificate was revoked");
+    lab.types("ls --identity anna.pem").ends_with(3).says("revoked");
+    trocar.run(&["ca", "revoke", "anna"]).ends_with(1).says("no valid certificate");
+    lab.types("ls --identity vera.pem").ends_with(0);
+    // A process, too: it runs on, and is lost to its manager.
+    trocar.run(&["ca", "revoke", "cart"]).ends_with(0);
+    eventually("the process is lost", || lab.is("cart", "PROCESS_STATE_LOST"));
+    // With another certificate in its file it comes back by itself.
+    trocar.run(&["ca", "issue", "cart", "--role", "host", "--process", "cart"]).ends_with(0);
+    eventually("the process is back", || lab.is("cart", "PROCESS_STATE_ATTACHED"));
+}
+
+#[test]
+fn an_address_beyond_the_loopback_takes_an_identity_that_may_listen() {
+    let world = World::new();
+    let trocar = Trocar::new(&world);
+    let run = |line: &str| trocar.run(&line.split(' ').collect::<Vec<_>>());
+    run("gcm --listen 0.0.0.0:0 --state s").says("nobody knows who calls").says("--listen-tls");
+    run("gcm --listen 127.0.0.1:0 --listen-tls 0.0.0.0:0 --state s")
+        .says("no identity")
+        .says("trocar ca issue");
+    run("ca issue x --role gcm").ends_with(1).says("trocar ca init");
+    run("ca init").ends_with(0);
+    run("ca issue anna --role operator").ends_with(0);
+    run("gcm --listen 127.0.0.1:0 --listen-tls 127.0.0.1:0 --identity anna.pem --state s").says("--role gcm");
+    run("gcm --listen 127.0.0.1:0 --listen-tls 127.0.0.1:0 --identity nowhere.pem --state s")
+        .says("No such file");
+    world.write("junk.pem", "junk");
+    run("ls --gcm https://127.0.0.1:1 --identity junk.pem").says("chmod 600");
+    run("ca issue or1 --role gcm").ends_with(0);
+    run("gcm --listen 127.0.0.1:0 --listen-tls 127.0.0.1:0 --identity or1.pem --revoked or1.pem --state s")
+        .says("no list of revoked");
+}
