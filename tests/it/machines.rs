@@ -117,6 +117,7 @@ fn each_role_does_what_it_may_and_is_told_what_it_takes_otherwise() {
         ("vera", "GcmService/Create", &create, "the role"),
         ("anna", "GcmService/Create", &create, "the role administrator"),
         ("anna", "PluginService/Recheck", &json!({}), "the role administrator"),
+        ("anna", "GuestService/Hold", &json!({ "component": "cart/server" }), "the role administrator"),
         ("cart", "GcmService/Create", &create, "the role administrator"),
         ("cart", "GcmService/Start", &all, "the role operator"),
     ] {
@@ -127,6 +128,13 @@ fn each_role_does_what_it_may_and_is_told_what_it_takes_otherwise() {
     let write = json!({ "path": "cart/server/Provided/Write", "json": 1 });
     let refused = lab.grpc("vera").refused("InteractService/Invoke", write);
     assert_eq!(refused.reason, "ROLE_FORBIDDEN", "{refused}");
+    // Everybody may ask who leads, and nobody tells of processes that it is not.
+    let tells = json!({ "processes": [{ "process": "left", "fate": "FATE_FAILED" }] });
+    for who in ["vera", "anna", "chief", "cart"] {
+        assert_eq!(lab.grpc(who).ok("AttachService/Tell", json!({}))["term"], "1", "{who}");
+        let refused = lab.grpc(who).refused("AttachService/Tell", tells.clone());
+        assert_eq!(refused.reason, "ROLE_FORBIDDEN", "{who}: {refused}");
+    }
     lab.grpc("anna").ok("GcmService/Start", all);
     assert_eq!(lab.grpc("vera").state("cart/server"), "ACTIVE");
 }
@@ -208,6 +216,31 @@ fn a_certificate_that_is_taken_back_ends_what_is_open_and_opens_nothing() {
 }
 
 #[test]
+fn a_manager_whose_certificate_is_taken_back_is_left_by_its_hosts() {
+    let lab = Lab::new();
+    let trocar = Trocar::new(&lab.world);
+    let list = trocar.run(&["ca", "revoked"]).ends_with(0).stdout.trim().to_owned();
+    let gcm = format!("https://{}", lab.address());
+    let identity = lab.identity("cart").display().to_string();
+    let args = ["--gcm", &gcm, "--identity", &identity, "--revoked", &list];
+    let host = HostProcess::start_with(&lab.world, "cart", &args);
+    eventually("it is attached", || lab.is("cart", "PROCESS_STATE_ATTACHED"));
+    trocar.run(&["ca", "revoke", "or1"]).ends_with(0);
+    eventually("it is lost", || lab.is("cart", "PROCESS_STATE_LOST"));
+    eventually("it says why", || {
+        let printed = host.printed();
+        if printed.contains("is lost") { Ok(()) } else { Err(printed) }
+    });
+}
+
+#[test]
+fn no_file_keeps_a_stop_from_this_machine() {
+    let lab = Lab::new();
+    let stopped = Trocar::at(&lab.world, lab.gcm.address()).run(&["stop", "**", "--identity", "nowhere.pem"]);
+    stopped.ends_with(0);
+}
+
+#[test]
 fn an_address_beyond_the_loopback_takes_an_identity_that_may_listen() {
     let world = World::new();
     let trocar = Trocar::new(&world);
@@ -216,6 +249,7 @@ fn an_address_beyond_the_loopback_takes_an_identity_that_may_listen() {
     run("gcm --listen 127.0.0.1:0 --listen-tls 0.0.0.0:0 --state s")
         .says("no identity")
         .says("trocar ca issue");
+    run("gcm --listen 127.0.0.1:0 --revoked nowhere.crl --state s").says("and no identity");
     run("ca issue x --role gcm").ends_with(1).says("trocar ca init");
     run("ca init").ends_with(0);
     run("ca issue anna --role operator").ends_with(0);

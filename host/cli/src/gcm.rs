@@ -47,7 +47,8 @@ pub(super) struct GcmArgs {
     /// Keep the journal in etcd, and lead its system only while no other GCM of that place does.
     #[arg(long, value_name = "etcd://HOST:PORT,.../NAME")]
     store: Option<EtcdPlace>,
-    /// With --store: address at which others reach this GCM, where that is not the one it listens at.
+    /// With --store: address at which others reach this GCM, where that is not the one it listens at (of
+    /// --listen-tls, if there is one).
     #[arg(long, value_name = "ADDR", requires = "store", value_parser = host_and_port)]
     advertise: Option<String>,
     /// With --store: time after which another GCM leads when this one is not heard, s.
@@ -93,13 +94,13 @@ async fn serve(args: GcmArgs, session: &Session) -> Done {
         before.end().await?;
     }
     let (listen, state) = (&listen, StateChoice::Durable(dir));
-    let machines = args.machines.machines(session);
+    let machines = args.machines.machines();
     let rights = (args.port.rules(), &machines);
     let host = match args.store.clone() {
         Some(place) => {
             let (advertise, lease) = (args.advertise.clone(), Duration::from_secs(args.lease));
             let is_any = |addr: SocketAddr| addr.ip().is_unspecified();
-            let reached = advertise.as_ref().unwrap_or(listen);
+            let reached = advertise.as_ref().or(machines.listen.as_ref()).unwrap_or(listen);
             if reached.parse().is_ok_and(is_any) {
                 return Err(Failure::usage(
                     format!("others reach no GCM at {reached}"),

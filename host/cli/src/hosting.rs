@@ -82,9 +82,9 @@ pub(super) struct MachineArgs {
 }
 
 impl MachineArgs {
-    pub(super) fn machines(self, session: &Session) -> Machines {
+    pub(super) fn machines(self) -> Machines {
         let MachineArgs { listen_tls: listen, revoked } = self;
-        Machines { identity: session.identity(), listen, revoked }
+        Machines { identity: session::identity(), listen, revoked }
     }
 }
 
@@ -170,7 +170,7 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
         plugins: plugin_dirs(args.plugins),
         listen: Some(args.listen),
         rules: args.port.rules(),
-        machines: args.machines.machines(session),
+        machines: args.machines.machines(),
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),

@@ -204,7 +204,8 @@ pub fn main() -> ExitCode {
 }
 
 fn dispatch(cli: Cli) -> Done {
-    let session = Session::new(cli.global.gcm, cli.global.json).identified(cli.global.identity);
+    session::show(cli.global.identity);
+    let session = Session::new(cli.global.gcm, cli.global.json);
     match cli.command {
         Command::Demo(args) => process(demo::run(args, &session)),
         Command::Run(args) => process(run::run(args, &session)),

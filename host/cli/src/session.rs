@@ -9,6 +9,7 @@ pub(super) mod recording;
 mod system;
 
 use std::path::PathBuf;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -37,6 +38,25 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// Time that other GCMs have to answer a Stop, too, when the one that leads has stopped.
 const OTHERS: Duration = Duration::from_millis(300);
 
+/// The value of `--identity`: every session of this program shows it.
+static IDENTITY: OnceLock<PathBuf> = OnceLock::new();
+
+/// Shows this to other machines from now on, where it is named.
+pub(super) fn show(identity: Option<PathBuf>) {
+    if let Some(identity) = identity {
+        // It is said once, before anything is asked.
+        let _ = IDENTITY.set(std::path::absolute(&identity).unwrap_or(identity));
+    }
+}
+
+/// Returns the file that this program shows to other machines: that of `--identity`, else of the environment.
+/// Absolute, so that programs that are started elsewhere find it.
+pub(super) fn identity() -> Option<PathBuf> {
+    let named = std::env::var_os("TROCAR_IDENTITY").filter(|path| !path.is_empty()).map(PathBuf::from);
+    let from_env = || named.map(|path| std::path::absolute(&path).unwrap_or(path));
+    IDENTITY.get().cloned().or_else(from_env)
+}
+
 /// Tells whether a GCM that leads has refused something, rather than that none was there.
 fn is_refusal(status: &tonic::Status) -> bool {
     let told = client::explain(status);
@@ -46,30 +66,19 @@ fn is_refusal(status: &tonic::Status) -> bool {
 /// Address of the GCM, form of the answers, and the connection once there is one.
 pub(super) struct Session {
     explicit: Option<String>,
-    identity: Option<PathBuf>,
     json: bool,
     client: Mutex<Option<Client>>,
 }
 
 impl Session {
     pub(super) fn new(gcm: Option<String>, json: bool) -> Self {
-        Self { explicit: gcm, identity: None, json, client: Mutex::default() }
+        Self { explicit: gcm, json, client: Mutex::default() }
     }
 
-    /// Shows this to other machines, where it is named.
-    pub(super) fn identified(self, identity: Option<PathBuf>) -> Self {
-        Self { identity, ..self }
-    }
-
-    /// Returns the value of `--identity`, else that of the environment.
-    pub(super) fn identity(&self) -> Option<PathBuf> {
-        let from_env =
-            || std::env::var_os("TROCAR_IDENTITY").filter(|path| !path.is_empty()).map(PathBuf::from);
-        self.identity.clone().or_else(from_env)
-    }
-
-    fn dialler(&self) -> Result<Dialler, Failure> {
-        Dialler::of_file(self.identity().as_deref()).map_err(|why| {
+    /// Reads the identity only where certificates are shown: no file keeps a Stop from this machine.
+    fn dialler(addr: &str) -> Result<Dialler, Failure> {
+        let identity = identity().filter(|_| addr.contains("https://"));
+        Dialler::of_file(identity.as_deref()).map_err(|why| {
             Failure::local(
                 "IDENTITY",
                 why,
@@ -106,7 +115,7 @@ impl Session {
         if let Some(client) = self.client.lock().clone() {
             return Ok(client);
         }
-        let dialler = self.dialler()?;
+        let dialler = Self::dialler(&addr)?;
         let connected = match addr.contains(',') {
             true => Client::of_leader(&dialler, &addr).await,
             false => Client::connect(&dialler, &addr, Door::Calls).await,
@@ -122,11 +131,12 @@ impl Session {
         &self,
         ask: impl Fn() -> tonic::Request<v1::StopRequest>,
     ) -> Result<Result<v1::StopResponse, tonic::Status>, Failure> {
-        let (all, dialler) = (self.address(), self.dialler()?);
+        let all = self.address();
         let mut asking = JoinSet::new();
         for addr in all.split(',').map(|addr| addr.trim().to_owned()) {
-            let (ask, dialler) = (ask(), dialler.clone());
+            let ask = ask();
             asking.spawn(async move {
+                let dialler = Self::dialler(&addr)?;
                 let client = Client::connect(&dialler, &addr, Door::Stop).await;
                 let mut client = client.map_err(|e| Failure::no_gcm(&addr, &e))?;
                 Ok(client.gcm.stop(ask).await.map(tonic::Response::into_inner))

@@ -3,7 +3,7 @@
 //! Invariant: a certificate is on the list of the issued before anybody has it, so that each can be revoked.
 
 use std::fmt;
-use std::fs::{self, DirBuilder};
+use std::fs::{self, DirBuilder, File};
 use std::net::IpAddr;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ use rcgen::{
     IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, RevokedCertParams, SanType, SerialNumber,
     string::Ia5String,
 };
+use rustix::fs::FlockOperation;
 use serde::{Deserialize, Serialize};
 use time::{Duration, OffsetDateTime};
 
@@ -42,6 +43,8 @@ const MOST_NAME: usize = 64;
 pub struct Authority {
     dir: PathBuf,
     books: Books,
+    /// Locked: nobody else reads or writes the books meanwhile.
+    _lock: File,
 }
 
 /// What an authority has to remember.
@@ -133,6 +136,7 @@ impl Authority {
         }
         DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(|e| said(&e))?;
         let key = KeyPair::generate().map_err(|e| said(&e))?;
+        let lock = lock(dir)?;
         let name = format!("trocar authority {}", hex(&number()?.to_bytes()[..4]));
         let mut params = own(&name);
         params.serial_number = Some(number()?);
@@ -142,7 +146,7 @@ impl Authority {
         files::write(&dir.join(KEY), &key.serialize_pem(), true).map_err(|e| said(&e))?;
         files::write(&dir.join(CERTIFICATE), &certificate.pem(), false).map_err(|e| said(&e))?;
         let books = Books { name, issued: Vec::new() };
-        let authority = Authority { dir: dir.to_owned(), books };
+        let authority = Authority { dir: dir.to_owned(), books, _lock: lock };
         authority.keep()?;
         Ok(authority)
     }
@@ -153,11 +157,12 @@ impl Authority {
         if !dir.join(KEY).exists() {
             return Err(AuthorityError::Missing { dir: dir.to_owned() });
         }
+        let lock = lock(dir)?;
         let list = dir.join(ISSUED);
         let said = broken(&list);
         let text = fs::read_to_string(&list).map_err(|e| said(&e))?;
         let books = serde_json::from_str(&text).map_err(|e| said(&e))?;
-        Ok(Authority { dir: dir.to_owned(), books })
+        Ok(Authority { dir: dir.to_owned(), books, _lock: lock })
     }
 
     /// The list of revoked certificates, for those who have to know.
@@ -243,6 +248,11 @@ impl Authority {
                 known.push(one.name.clone());
             }
         }
+        let is_gone = |one: &Issued| one.revoked.is_some() && (one.name == what || one.number == what);
+        if gone.is_empty() && self.books.issued.iter().any(is_gone) {
+            // The list may not have come to disk when it was revoked.
+            self.keep()?;
+        }
         if gone.is_empty() {
             return Err(AuthorityError::Unknown { what: what.to_owned(), known });
         }
@@ -260,11 +270,9 @@ impl Authority {
         Ok((issuer, text))
     }
 
-    /// Writes the lists.
+    /// Writes the lists: first what is revoked, so that nobody is taken for revoked who is not on that list.
     fn keep(&self) -> Result<(), AuthorityError> {
         let said = broken(&self.dir);
-        let text = serde_json::to_string_pretty(&self.books).map_err(|e| said(&e))?;
-        files::write(&self.dir.join(ISSUED), &(text + "\n"), false).map_err(|e| said(&e))?;
         let now = OffsetDateTime::now_utc();
         let revoked = self.books.issued.iter().filter_map(|one| {
             let at = OffsetDateTime::from_unix_timestamp(one.revoked?).ok()?;
@@ -286,8 +294,18 @@ impl Authority {
         };
         let list = list.signed_by(&self.issuer()?.0).map_err(|e| said(&e))?;
         let text = list.pem().map_err(|e| said(&e))?;
-        files::write(&self.revoked_list(), &text, false).map_err(|e| said(&e))
+        files::write(&self.revoked_list(), &text, false).map_err(|e| said(&e))?;
+        let text = serde_json::to_string_pretty(&self.books).map_err(|e| said(&e))?;
+        files::write(&self.dir.join(ISSUED), &(text + "\n"), false).map_err(|e| said(&e))
     }
+}
+
+/// Waits until nobody else uses the authority.
+fn lock(dir: &Path) -> Result<File, AuthorityError> {
+    let said = broken(dir);
+    let lock = File::open(dir).map_err(|e| said(&e))?;
+    rustix::fs::flock(&lock, FlockOperation::LockExclusive).map_err(|e| said(&e))?;
+    Ok(lock)
 }
 
 /// The authority itself, as its certificate has it.

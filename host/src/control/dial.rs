@@ -95,8 +95,9 @@ impl Dialler {
         let endpoint = if pings { pinged(endpoint) } else { endpoint };
         let Some(client) = client else { return Ok(with_token(endpoint.connect().await?)) };
         let why = Why::default();
-        let told = why.clone();
-        let connector = service_fn(move |at| secured(client.clone(), at, within, told.clone()));
+        let (told, revoked) = (why.clone(), self.revoked.clone());
+        let connector =
+            service_fn(move |at| secured(client.clone(), at, within, (told.clone(), revoked.clone())));
         let channel = endpoint.connect_with_connector(connector).await;
         let channel =
             channel.map_err(|e| why.get().map_or_else(|| e.into(), |why| DialError::from(why.clone())))?;
@@ -104,8 +105,15 @@ impl Dialler {
         let mut health = HealthClient::new(channel.clone());
         let asked = health.check(HealthCheckRequest::default());
         match (tokio::time::timeout(within, asked).await, why.get()) {
-            (Ok(Ok(_)), _) | (Ok(Err(_)), None) => {}
+            (Ok(Ok(_)), _) => {}
             (_, Some(why)) => return Err(why.clone().into()),
+            // An answer, if only a refusal.
+            (Ok(Err(status)), None) if status.source().is_none() => {}
+            (Ok(Err(_)), None) => {
+                return Err(
+                    "it ended the connection, as one does that does not take this side's certificate".into(),
+                );
+            }
             (Err(_), None) => return Err("it takes connections, and answers nothing".into()),
         }
         Ok(with_token(channel))
@@ -118,14 +126,16 @@ impl Dialler {
     pub(super) fn lazily(&self, addr: &str, within: Duration) -> Result<Tokened, DialError> {
         let (endpoint, client) = self.endpoint(addr, within)?;
         let Some(client) = client else { return Ok(with_token(endpoint.connect_lazy())) };
-        let connector = service_fn(move |at| secured(client.clone(), at, within, Why::default()));
+        let revoked = self.revoked.clone();
+        let connector =
+            service_fn(move |at| secured(client.clone(), at, within, (Why::default(), revoked.clone())));
         Ok(with_token(endpoint.connect_with_connector_lazy(connector)))
     }
 
     /// The endpoint of an address, and what is shown there under TLS.
     fn endpoint(&self, addr: &str, within: Duration) -> Result<(Endpoint, Option<Client>), DialError> {
         let bare = addr.strip_prefix(SECURED).or_else(|| addr.strip_prefix("http://")).unwrap_or(addr);
-        // Whoever shows certificates does so below HTTP.
+        // Certificates are shown below HTTP, which knows nothing of them.
         let endpoint =
             Endpoint::from_shared(format!("http://{bare}"))?.connect_timeout(within).tcp_nodelay(true);
         if !addr.starts_with(SECURED) {
@@ -146,15 +156,20 @@ pub(super) fn is_secured(addr: &str) -> bool {
     addr.starts_with(SECURED)
 }
 
-async fn secured(client: Client, at: Uri, within: Duration, why: Why) -> io::Result<TokioIo<Told>> {
+async fn secured(
+    client: Client,
+    at: Uri,
+    within: Duration,
+    (why, revoked): (Why, Option<Arc<Revoked>>),
+) -> io::Result<TokioIo<Told>> {
     let name = |text: &'static str| ServerName::try_from(text).map_err(io::Error::other);
     let shaking = async {
         let authority = at.authority().ok_or_else(|| io::Error::other("no address"))?;
         let stream = TcpStream::connect(authority.as_str()).await?;
         stream.set_nodelay(true)?;
-        // Whom it reaches is told by the certificate alone.
+        // The certificate alone says who it is.
         let stream = TlsConnector::from(client.config()).connect(name("trocar")?, stream).await;
-        Ok(TokioIo::new(Told::new(stream.map_err(told::told)?, why)))
+        Ok(TokioIo::new(Told::new(stream.map_err(told::told)?, why, revoked)))
     };
     let late = || io::Error::new(io::ErrorKind::TimedOut, "it showed no certificate in time");
     tokio::time::timeout(within, shaking).await.map_err(|_| late())?

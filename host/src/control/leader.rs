@@ -13,7 +13,7 @@ use trocar_proto::v1::TellRequest;
 use trocar_proto::v1::attach_service_client::AttachServiceClient;
 
 use super::caller::Tokened;
-use super::dial::Dialler;
+use super::dial::{Dialler, is_secured};
 use crate::runtime_dir::Door;
 
 /// Addresses that are asked in one search, at most.
@@ -56,6 +56,10 @@ pub async fn find_leader(
             .unwrap_or_else(|_| silent());
         match told {
             Asked::Leads(channel, term) => return Ok(Leader { addr, channel, term }),
+            // One that shows certificates leads nobody to where none are shown.
+            Asked::Names(leader, why) if is_secured(&addr) && !is_secured(&leader) => {
+                said.push((addr, format!("{why}; where no certificates are shown it is not asked")));
+            }
             Asked::Names(leader, why) => {
                 queue.push_front(leader);
                 said.push((addr, why));

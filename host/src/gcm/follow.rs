@@ -131,8 +131,12 @@ impl Gcm {
 }
 
 /// True: the graph is different.
-fn enter_half(graph: &mut Arc<SystemGraph>, half: HalfReport) -> bool {
+fn enter_half(graph: &mut Arc<SystemGraph>, process: &Name, half: HalfReport) -> bool {
     let key = (ConnectionId(half.connection), half.end);
+    // Nobody tells of another process's half, not that it is gone either.
+    if graph.proxies.get(&key).is_some_and(|known| known.process != *process) {
+        return false;
+    }
     if graph.proxies.get(&key) == half.proxy.as_ref() {
         return false;
     }
@@ -175,7 +179,7 @@ fn enter(
             gcm.lines().keep(line);
             return false;
         }
-        News::Half(half) => return enter_half(graph, half),
+        News::Half(half) => return enter_half(graph, process, half),
         News::StoppedHere(told) => {
             gcm.heard_stop(process, told);
             return false;

@@ -31,6 +31,10 @@ impl Machines {
                 Some(listen) => Err(unusable(format!(
                     "{listen} can be reached from other machines, and this process has no identity to show them"
                 ))),
+                None if self.revoked.is_some() => Err(unusable(
+                    "a list of revoked certificates is named, and no identity: nobody shows this process any"
+                        .into(),
+                )),
                 None => Ok((Dialler::local(), None)),
             };
         };

@@ -253,6 +253,12 @@ impl Host {
         let addr = server.addr();
         (self.addr, self.secured) = (Some(addr), server.secured());
         let reached = self.secured.map_or_else(|| addr.to_string(), |addr| format!("https://{addr}"));
+        // Others are led to where certificates are shown.
+        let advertise = among.advertise.clone().map(|named| match self.secured {
+            Some(_) => format!("https://{named}"),
+            None => named,
+        });
+        let among = &Among { advertise, ..among.clone() };
         self.ending.running().server = Some(server);
         let begun = Candidacy::begin(seat, (among, reached), (rules, runtime)).await?;
         self.ending.running().candidacy = Some(begun);

@@ -10,6 +10,7 @@ use std::time::Duration;
 use trocar_model::{ComponentId, Name};
 
 use crate::hosting::{self, PortArgs};
+use crate::session;
 use trocar::processes::{Limits, Policy, Program};
 use trocar::system_file::{ProcessSpec, SystemFile, TrustSpec};
 
@@ -31,6 +32,9 @@ pub(super) fn called(name: &str) -> &str {
 /// Returns a host that attaches to the GCM at this address.
 pub(super) fn under(mut host: Program, addr: &str) -> Program {
     host.args.extend(["--gcm".into(), addr.into()]);
+    if let Some(identity) = session::identity() {
+        host.args.extend(["--identity".into(), identity.into()]);
+    }
     host
 }
 

@@ -75,12 +75,14 @@ impl Feeds {
         let (out, orders) = mpsc::channel(QUEUE);
         let number = lcm.feeds_over(out);
         // The session holds the LCM; its Feed does not keep it.
-        let of = Arc::downgrade(&lcm);
+        let (of, over) = (Arc::downgrade(&lcm), lcm.feed_over(number));
         drop(lcm);
         tokio::spawn(async move {
+            let mut over = std::pin::pin!(over);
             loop {
                 let said = tokio::select! {
                     said = inbound.next() => said,
+                    () = &mut over => None,
                     _ = open.changed() => None,
                 };
                 let (Some(Ok(said)), Some(lcm)) = (said, of.upgrade()) else { break };

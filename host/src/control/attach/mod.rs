@@ -4,6 +4,7 @@
 //! caller is answered.
 
 mod feeds;
+mod own;
 mod remote;
 mod road;
 
@@ -23,7 +24,7 @@ use trocar_proto::v1::{attach_request, attach_response};
 pub use self::feeds::FeedOutbound;
 use self::feeds::Feeds;
 use self::remote::{Outgoing, RemoteLcm, message};
-use super::caller::{Peer, is_process};
+use super::caller::{OnlyReads, Peer, is_process};
 use super::convert;
 use super::status::status;
 use crate::gcm::{Gcm, Registered, Registration, Told};
@@ -103,6 +104,7 @@ impl AttachEdge {
     async fn take_in(&self, hello: v1::Hello, out: &Outgoing) -> Result<Attached, Refusal> {
         let process = Name::parse(&hello.process)?;
         let inventory = convert::inventory_in(hello.inventory.unwrap_or_default())?;
+        let inventory = own::inventory(&process, inventory);
         let instance: [u8; 16] =
             hello.instance.as_slice().try_into().map_err(|_| convert::unreadable("instance (16 bytes)"))?;
         let who = Registration {
@@ -183,6 +185,9 @@ impl AttachService for AttachEdge {
         let (_, extensions, asked) = request.into_parts();
         for told in &asked.processes {
             is_process(extensions.get(), "Tell", &told.process).map_err(|refusal| status(&refusal))?;
+            if let Some(limit) = extensions.get::<OnlyReads>().filter(|limit| !limit.is_process()) {
+                return Err(status(&limit.refusal("Tell".into())));
+            }
         }
         let told: Result<Vec<Told>, Refusal> = asked.processes.into_iter().map(convert::told).collect();
         // A report is entered only if all of it is understood.

@@ -19,6 +19,7 @@ use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
+use super::own;
 use super::road::{Beside, FeedOutgoing, Road};
 use crate::control::convert;
 use crate::lcm::{
@@ -102,7 +103,16 @@ impl RemoteLcm {
 
     /// Sends questions over this Feed from now on; returns its number.
     pub(super) fn feeds_over(&self, out: FeedOutgoing) -> u64 {
-        self.beside.open(out)
+        let (number, before) = self.beside.open(out);
+        if let Some(before) = before {
+            self.feed_ended(before);
+        }
+        number
+    }
+
+    /// Until the Feed of this number is not the one any more, or the process is gone.
+    pub(super) fn feed_over(&self, number: u64) -> impl Future<Output = ()> + Send + use<> {
+        self.beside.over(number)
     }
 
     /// Answers what was asked over the Feed of this number, which has ended.
@@ -127,7 +137,8 @@ impl RemoteLcm {
             Some(attach_request::Message::Answer(answer)) => self.answered(answer),
             Some(attach_request::Message::News(news)) => match news_in(news) {
                 Ok(news) => {
-                    if let Some(link) = self.link.lock().as_ref() {
+                    let own = own::news(&self.process, news);
+                    if let (Some(news), Some(link)) = (own, self.link.lock().as_ref()) {
                         // The GCM that listens may just be letting go.
                         let _ = link.news.send(news);
                     }
@@ -144,6 +155,7 @@ impl RemoteLcm {
     /// Tells every waiting caller that the process is lost.
     pub(super) fn close(&self) {
         self.link.lock().take();
+        self.beside.end();
     }
 
     fn lost(&self) -> Refusal {
@@ -173,7 +185,7 @@ impl RemoteLcm {
                 let _ = tell.send(what);
             }
             (_, Some(Waiting::Feed(feed, _))) => feed.end(),
-            (A::Report(report), Some(Waiting::Late(change, decision))) => match convert::report_in(report) {
+            (A::Report(told), Some(Waiting::Late(change, decision))) => match self.report_in(told) {
                 // The GCM that listens may just be letting go.
                 Ok(report) => _ = link.news.send(News::Late(Box::new(change), decision, report)),
                 Err(refusal) => log::warn!("an answer of process {} cannot be read: {refusal}", self.process),
@@ -185,20 +197,24 @@ impl RemoteLcm {
         }
     }
 
+    fn report_in(&self, told: v1::ComponentReport) -> Result<Report, Refusal> {
+        own::report(&self.process, convert::report_in(told)?)
+    }
+
     async fn ask(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
         self.ask_for(self.number(), (order, None), deadline.into(), what, (None, None)).await
     }
 
     /// Asks over the Feed, where there is one: the answer may be large.
     async fn ask_beside(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
-        let road = self.beside.road().await;
+        let road = self.beside.road(deadline).await;
         self.ask_for(self.number(), (order, None), deadline.into(), what, (road, None)).await
     }
 
     /// Orders a change.
     async fn change(&self, asked: O, change: &Change, order: Order, what: &str) -> Result<Report, Refusal> {
         match self.ask_for(self.number(), (asked, Some(change)), order, what, (None, None)).await? {
-            A::Report(report) => convert::report_in(report),
+            A::Report(told) => self.report_in(told),
             _ => wrong(),
         }
     }
@@ -334,7 +350,7 @@ impl Lcm for RemoteLcm {
     async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
         let asked = (O::Stop(convert::stop_out(&stop)), None);
         match self.ask_for(self.number(), asked, order, "a Stop", (None, None)).await? {
-            A::Halted(halted) => convert::halted_in(halted),
+            A::Halted(halted) => Ok(own::halted(&self.process, convert::halted_in(halted)?)),
             _ => wrong(),
         }
     }
@@ -382,7 +398,7 @@ impl Lcm for RemoteLcm {
         let id = self.number();
         let feed = Feed { tell: tell.clone(), lost: 0, over };
         let order = O::Subscribe(v1::SubscribeRequest { selections });
-        let road = match self.beside.road().await {
+        let road = match self.beside.road(clock::now() + WITHIN).await {
             Some(road) => road,
             None => self
                 .link
@@ -402,7 +418,11 @@ impl Lcm for RemoteLcm {
     async fn details(&self, ids: Vec<ComponentId>) -> Result<Vec<(ComponentId, Detail)>, Refusal> {
         let order = v1::DetailsOrder { paths: ids.iter().map(ToString::to_string).collect() };
         match self.question_beside(O::Details(order), "the figures of its components").await? {
-            A::Details(told) => told.components.into_iter().map(convert::detail_in).collect(),
+            A::Details(told) => {
+                let all: Result<Vec<_>, Refusal> =
+                    told.components.into_iter().map(convert::detail_in).collect();
+                Ok(all?.into_iter().filter(|(id, _)| id.process == self.process).collect())
+            }
             _ => wrong(),
         }
     }
@@ -443,7 +463,7 @@ impl Lcm for RemoteLcm {
 
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         match self.question(O::Inventory(v1::InventoryOrder {}), "its inventory").await? {
-            A::Inventory(inventory) => convert::inventory_in(inventory),
+            A::Inventory(inventory) => Ok(own::inventory(&self.process, convert::inventory_in(inventory)?)),
             _ => wrong(),
         }
     }

@@ -20,7 +20,7 @@ use trocar_model::Refusal;
 use trocar_net::Role;
 use trocar_rt::os::now_ns;
 
-use super::rights::{self, Right, is_own, may, needed, right};
+use super::rights::{self, Right, is_of_components, is_own, may, needed, right};
 use super::{Peer, PortRules, Viewer};
 use crate::control::kind::{is_grpc, is_native};
 use crate::control::services::FOR_COMPONENT;
@@ -51,8 +51,8 @@ pub(crate) enum OnlyReads {
     Page,
     /// A program of a user without further rights.
     Caller { who: String, user: u32 },
-    /// One whose certificate lets it read.
-    Holder { who: String },
+    /// One whose certificate lets it read. `is_host`: beside what a process does.
+    Holder { who: String, is_host: bool },
 }
 
 /// The caller has the rights of its certificate.
@@ -71,12 +71,17 @@ enum Limit {
 }
 
 impl OnlyReads {
+    /// Tells whether the caller may be a process, which its certificate names: then it is looked at.
+    pub(crate) fn is_process(&self) -> bool {
+        matches!(self, OnlyReads::Holder { is_host: true, .. })
+    }
+
     /// Returns the refusal of `what`, which changes something, to such a caller.
     pub(crate) fn refusal(&self, what: String) -> Refusal {
         match self {
             OnlyReads::Page => Refusal::ReadOnly { what },
             OnlyReads::Caller { who, user } => Refusal::Forbidden { what, caller: who.clone(), user: *user },
-            OnlyReads::Holder { who } => {
+            OnlyReads::Holder { who, .. } => {
                 let needs = needed(Some(Right::Operates));
                 Refusal::RoleForbidden { what, caller: who.clone(), needs }
             }
@@ -95,7 +100,7 @@ impl Access {
             let component = headers.get(FOR_COMPONENT).and_then(|path| path.to_str().ok());
             let for_own = is_own(holder, component);
             return match holder.role {
-                Role::Viewer => Some(Limit::Reads(OnlyReads::Holder { who })),
+                Role::Viewer => Some(Limit::Reads(OnlyReads::Holder { who, is_host: false })),
                 role => Some(Limit::Role(Bounded { who, role, for_own })),
             };
         }
@@ -137,7 +142,8 @@ pub(crate) async fn known(State(access): State<Arc<Access>>, mut request: Reques
         Some(Limit::Role(limit)) => {
             if limit.role == Role::Host && !limit.for_own {
                 // Which command it calls is looked at where that is known.
-                request.extensions_mut().insert(OnlyReads::Holder { who: limit.who.clone() });
+                let who = limit.who.clone();
+                request.extensions_mut().insert(OnlyReads::Holder { who, is_host: true });
             }
             request.extensions_mut().insert(limit);
         }
@@ -153,7 +159,7 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
     let verb = || asked.rsplit('/').next().unwrap_or_default().to_owned();
     if let Some(Bounded { who, role, for_own }) = request.extensions().get() {
         let right = right(asked);
-        if may(*role, right, *for_own) {
+        if may(*role, right, *for_own && is_of_components(asked)) {
             return next.run(request).await;
         }
         let refusal = Refusal::RoleForbidden { what: verb(), caller: who.clone(), needs: needed(right) };

@@ -10,7 +10,8 @@ use super::Peer;
 /// What a method does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Right {
-    /// Changes nothing. `Invoke` and `WaitFor` look at the command that is called: see `OnlyReads`.
+    /// Changes nothing. `Invoke` and `WaitFor` look at the command that is called: see `OnlyReads`. A `Tell`
+    /// that tells nothing asks who leads, and one that does looks at who tells.
     Reads,
     /// Runs what is there.
     Operates,
@@ -25,7 +26,7 @@ const METHODS: [(&str, Right); 45] = [
     ("/trocar.v1.AttachService/Attach", Right::Attaches),
     ("/trocar.v1.AttachService/Feed", Right::Attaches),
     ("/trocar.v1.AttachService/Supervise", Right::Attaches),
-    ("/trocar.v1.AttachService/Tell", Right::Attaches),
+    ("/trocar.v1.AttachService/Tell", Right::Reads),
     ("/trocar.v1.GcmService/Apply", Right::Administers),
     ("/trocar.v1.GcmService/Compare", Right::Reads),
     ("/trocar.v1.GcmService/Configure", Right::Operates),
@@ -47,9 +48,9 @@ const METHODS: [(&str, Right); 45] = [
     ("/trocar.v1.GcmService/Stop", Right::Operates),
     ("/trocar.v1.GcmService/WaitFor", Right::Reads),
     ("/trocar.v1.GcmService/Watch", Right::Reads),
-    ("/trocar.v1.GuestService/Hold", Right::Operates),
+    ("/trocar.v1.GuestService/Hold", Right::Administers),
     ("/trocar.v1.GuestService/Join", Right::Administers),
-    ("/trocar.v1.GuestService/Require", Right::Operates),
+    ("/trocar.v1.GuestService/Require", Right::Administers),
     ("/trocar.v1.InteractService/Emit", Right::Operates),
     ("/trocar.v1.InteractService/Invoke", Right::Reads),
     ("/trocar.v1.InteractService/Logs", Right::Reads),
@@ -79,7 +80,8 @@ pub(super) fn only_reads(path: &str) -> bool {
     right(path) == Some(Right::Reads)
 }
 
-/// Tells whether a role may ask what does that. `for_own`: a host asks for a component of its own.
+/// Tells whether a role may ask what does that. `for_own`: a host asks what a component can ask for, in the
+/// name of one of its own.
 pub(super) fn may(role: Role, right: Option<Right>, for_own: bool) -> bool {
     match (role, right) {
         (Role::Gcm, _) | (_, Some(Right::Reads)) => true,
@@ -103,7 +105,13 @@ pub(super) fn is_own(holder: &Holder, component: Option<&str>) -> bool {
     component.is_some_and(|component| holder.is_process(component.process.as_str()))
 }
 
-/// Checks that a caller may speak as that process: whoever has shown a certificate only as one that it names.
+/// Tells whether components can ask for the method of this path.
+pub(super) fn is_of_components(path: &str) -> bool {
+    ["/trocar.v1.GcmService/", "/trocar.v1.PluginService/"].iter().any(|service| path.starts_with(service))
+}
+
+/// Checks that a caller may speak as that process: one that has shown a certificate only as one that it
+/// names.
 ///
 /// # Errors
 /// It names others, or none.

@@ -11,13 +11,13 @@ use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpStream, UnixStream};
-use tokio::sync::oneshot;
 use tokio::time::{Sleep, sleep};
 use tokio_rustls::server::TlsStream;
 use tonic::transport::server::Connected;
 use trocar_rt::os::{Unshared, unshared};
 
 use super::seats::Seat;
+use super::secure::Belief;
 use crate::control::caller::Peer;
 
 /// Time a caller has for its first request.
@@ -39,8 +39,8 @@ pub(crate) struct Connection {
     stream: Stream,
     peer: Peer,
     seat: Seat,
-    /// Dropped at the other end when the caller's certificate is revoked; `None`: it has shown none.
-    belief: Option<oneshot::Receiver<()>>,
+    /// Until when its certificate is believed; `None`: it has shown none.
+    belief: Option<Belief>,
     /// The first request as far as it has come, and the time limit for it; `None` once it has come.
     silence: Option<(Head, Pin<Box<Sleep>>)>,
 }
@@ -56,15 +56,17 @@ impl Connection {
         Connection { _unshared, stream, peer, seat, belief: None, silence }
     }
 
-    /// Ends when what is at the other end of `belief` is dropped.
-    pub(super) fn believed(self, belief: oneshot::Receiver<()>) -> Connection {
+    /// Ends when it is believed no more.
+    pub(super) fn believed(self, belief: Belief) -> Connection {
         Connection { belief: Some(belief), ..self }
     }
 
-    /// Tells whether the caller is not believed any more.
-    fn poll_revoked(&mut self, cx: &mut Context<'_>) -> bool {
-        let Some(belief) = &mut self.belief else { return false };
-        Pin::new(belief).poll(cx).is_ready()
+    /// # Errors
+    /// The caller is not believed any more: nothing is read of it, and nothing told to it.
+    fn is_believed(&mut self, cx: &mut Context<'_>) -> io::Result<()> {
+        let is_over = self.belief.as_mut().is_some_and(|belief| belief.poll_over(cx));
+        let revoked = || io::Error::new(io::ErrorKind::ConnectionAborted, "its certificate was revoked");
+        if is_over { Err(revoked()) } else { Ok(()) }
     }
 }
 
@@ -79,11 +81,7 @@ impl Connected for Connection {
 impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
-        if this.poll_revoked(cx) {
-            // A receiver that was ready is asked no more.
-            this.belief = Some(oneshot::channel().1);
-            return Poll::Ready(Ok(()));
-        }
+        this.is_believed(cx)?;
         let before = buf.filled().len();
         let read = match &mut this.stream {
             Stream::Tcp(stream) => Pin::new(stream).poll_read(cx, buf),
@@ -109,7 +107,9 @@ impl AsyncRead for Connection {
 
 impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
-        match &mut self.get_mut().stream {
+        let this = self.get_mut();
+        this.is_believed(cx)?;
+        match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_write(cx, buf),
             Stream::Unix(stream) => pin!(stream).poll_write(cx, buf),
             Stream::Tls(stream) => pin!(stream).poll_write(cx, buf),
@@ -121,7 +121,9 @@ impl AsyncWrite for Connection {
         cx: &mut Context<'_>,
         bufs: &[IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        match &mut self.get_mut().stream {
+        let this = self.get_mut();
+        this.is_believed(cx)?;
+        match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_write_vectored(cx, bufs),
             Stream::Unix(stream) => pin!(stream).poll_write_vectored(cx, bufs),
             Stream::Tls(stream) => pin!(stream).poll_write_vectored(cx, bufs),
@@ -137,7 +139,9 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        match &mut self.get_mut().stream {
+        let this = self.get_mut();
+        this.is_believed(cx)?;
+        match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_flush(cx),
             Stream::Unix(stream) => pin!(stream).poll_flush(cx),
             Stream::Tls(stream) => pin!(stream).poll_flush(cx),
@@ -145,7 +149,9 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        match &mut self.get_mut().stream {
+        let this = self.get_mut();
+        this.is_believed(cx)?;
+        match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_shutdown(cx),
             Stream::Unix(stream) => pin!(stream).poll_shutdown(cx),
             Stream::Tls(stream) => pin!(stream).poll_shutdown(cx),

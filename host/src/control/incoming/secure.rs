@@ -4,22 +4,24 @@
 //! revoked is for longer than [`LOOK`]. What strangers cost is bounded: places, and time for each.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use parking_lot::Mutex;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::task::AbortHandle;
 use tokio_rustls::TlsAcceptor;
 use trocar_links::Seldom;
 use trocar_net::{Holder, Revoked, Role, Server, said};
-use trocar_rt::os::now_ns;
+use trocar_rt::os::{now_ns, unshared};
 
 use super::connection::{Connection, Stream};
 use super::seats::{self, Guest, Seats};
@@ -31,13 +33,16 @@ const HANDSHAKE: Duration = Duration::from_secs(2);
 /// Callers that may be showing theirs at once, and those of them from one address.
 const SHAKING: usize = 64;
 const FROM_ONE: usize = 16;
+/// Time, and reads, to take what a caller has sent that is turned away.
+const HEAR_OUT: Duration = Duration::from_millis(500);
+const HEARD: usize = 16;
 /// Interval at which the list of revoked certificates is looked at.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// The callers of a port that speaks TLS.
 pub(in crate::control) struct Secure {
     let_in: mpsc::Receiver<Connection>,
-    tasks: [AbortHandle; 2],
+    letting: AbortHandle,
 }
 
 /// What the tasks of a port share.
@@ -56,6 +61,30 @@ struct Door {
 struct Beliefs {
     next: AtomicU64,
     all: Mutex<BTreeMap<u64, Believed>>,
+}
+
+/// The belief in a caller that was let in. It holds what the port looks at, also when the port is closed:
+/// then its callers get their last answers.
+pub(super) struct Belief {
+    over: Option<oneshot::Receiver<()>>,
+    _door: Arc<Door>,
+}
+
+impl fmt::Debug for Belief {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Belief").field("is_over", &self.over.is_none()).finish_non_exhaustive()
+    }
+}
+
+impl Belief {
+    /// True: its certificate was revoked, now or before.
+    pub(super) fn poll_over(&mut self, cx: &mut Context<'_>) -> bool {
+        let is_over = self.over.as_mut().is_none_or(|over| Pin::new(over).poll(cx).is_ready());
+        if is_over {
+            self.over = None;
+        }
+        is_over
+    }
 }
 
 /// One that is believed as long as `keep` is not dropped.
@@ -97,15 +126,15 @@ impl Secure {
             from: Mutex::default(),
             turned_away: Mutex::default(),
         });
-        let looking = tokio::spawn(door.clone().look()).abort_handle();
+        tokio::spawn(look(Arc::downgrade(&door)));
         let letting = tokio::spawn(door.listen(listener, tell)).abort_handle();
-        Secure { let_in, tasks: [looking, letting] }
+        Secure { let_in, letting }
     }
 }
 
 impl Drop for Secure {
     fn drop(&mut self) {
-        self.tasks.iter().for_each(AbortHandle::abort);
+        self.letting.abort();
     }
 }
 
@@ -118,21 +147,9 @@ impl tokio_stream::Stream for Secure {
 }
 
 impl Door {
-    /// Looks after the list of revoked certificates, for ever.
-    async fn look(self: Arc<Self>) {
-        let Some(list) = self.server.revoked().cloned() else { return };
-        let (mut look, mut edition) = (tokio::time::interval(LOOK), 0);
-        loop {
-            look.tick().await;
-            let now = list.look();
-            if now != edition {
-                edition = now;
-                self.beliefs.revoke(&list);
-            }
-        }
-    }
-
     async fn listen(self: Arc<Self>, listener: TcpListener, tell: mpsc::Sender<Connection>) {
+        // A child that kept it would keep the port.
+        let _unshared = unshared(&listener);
         loop {
             // Ends with the port alone, which never closes it.
             let Ok(shaking) = self.shaking.clone().acquire_owned().await else { return };
@@ -145,7 +162,7 @@ impl Door {
                     continue;
                 }
             };
-            let Some(from) = From::one(&self, addr.ip()) else {
+            let Some(from) = Caller::one(&self, addr.ip()) else {
                 let ip = addr.ip();
                 self.turn_away(&format!("{ip} opens more connections at once than the {FROM_ONE} it may"));
                 continue;
@@ -168,22 +185,27 @@ impl Door {
     }
 
     /// Has a caller show its certificate, and finds it a place.
-    async fn shake(&self, stream: TcpStream, addr: SocketAddr) -> Result<Connection, String> {
+    async fn shake(self: &Arc<Self>, stream: TcpStream, addr: SocketAddr) -> Result<Connection, String> {
         use std::os::fd::AsRawFd;
 
         if seats::is_of_the_last(stream.as_raw_fd()) {
             return Err("this process may open no more files (ulimit -n)".into());
         }
         stream.set_nodelay(true).map_err(|e| e.to_string())?;
-        let shaken = tokio::time::timeout(HANDSHAKE, self.acceptor.accept(stream)).await;
-        let stream = match shaken {
+        let _unshared = unshared(&stream);
+        let shaking = self.acceptor.accept(stream).into_fallible();
+        let stream = match tokio::time::timeout(HANDSHAKE, shaking).await {
             Err(_) => return Err(format!("it showed no certificate within {} s", HANDSHAKE.as_secs())),
-            Ok(Err(e)) => return Err(because(&e)),
+            Ok(Err((e, stream))) => {
+                hear_out(stream).await;
+                return Err(because(&e));
+            }
             Ok(Ok(stream)) => stream,
         };
         let shown = stream.get_ref().1.peer_certificates().and_then(|all| all.first());
         let holder = Arc::new(Holder::of(shown.ok_or("it shows no certificate")?)?);
-        let belief = self.beliefs.add(&holder);
+        let over = Some(self.beliefs.add(&holder));
+        let belief = Belief { over, _door: self.clone() };
         // It may have been revoked between the two.
         if self.server.revoked().is_some_and(|list| list.has(&holder.serial)) {
             return Err("its certificate was revoked".into());
@@ -201,25 +223,57 @@ impl Door {
     }
 }
 
+/// Looks after the list of revoked certificates, as long as there is anybody to cut off.
+async fn look(door: Weak<Door>) {
+    let (mut look, mut edition) = (tokio::time::interval(LOOK), 0);
+    loop {
+        look.tick().await;
+        let Some(door) = door.upgrade() else { return };
+        let Some(list) = door.server.revoked() else { return };
+        let now = list.look();
+        if now != edition {
+            edition = now;
+            door.beliefs.revoke(list);
+        }
+    }
+}
+
+/// Reads what a caller has sent already: a connection that is closed before that is reset, and the caller may
+/// not hear why.
+async fn hear_out(mut stream: TcpStream) {
+    let mut room = [0; 4096];
+    let heard = async {
+        // It may be gone, which is as good.
+        let _ = stream.shutdown().await;
+        for _ in 0..HEARD {
+            if !matches!(stream.read(&mut room).await, Ok(1..)) {
+                return;
+            }
+        }
+    };
+    // One that goes on talking has had its time.
+    let _ = tokio::time::timeout(HEAR_OUT, heard).await;
+}
+
 /// A place among the callers of one address.
-struct From {
+struct Caller {
     door: Arc<Door>,
     ip: IpAddr,
 }
 
-impl From {
-    fn one(door: &Arc<Door>, ip: IpAddr) -> Option<From> {
+impl Caller {
+    fn one(door: &Arc<Door>, ip: IpAddr) -> Option<Caller> {
         let mut from = door.from.lock();
         let here = from.entry(ip).or_insert(0);
         if *here >= FROM_ONE {
             return None;
         }
         *here += 1;
-        Some(From { door: door.clone(), ip })
+        Some(Caller { door: door.clone(), ip })
     }
 }
 
-impl Drop for From {
+impl Drop for Caller {
     fn drop(&mut self) {
         let mut from = self.door.from.lock();
         let here = from.entry(self.ip).or_insert(1);

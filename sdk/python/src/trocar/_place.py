@@ -51,7 +51,8 @@ class Place:
             raise error from None
         except grpc.RpcError as e:
             error = self._session._wire.error(e, "GuestService/Join")
-            if error.code != "UNIMPLEMENTED":
+            # A person who only looks or operates has no place in the graph.
+            if error.code != "UNIMPLEMENTED" and error.reason not in ("ROLE_FORBIDDEN", "FORBIDDEN"):
                 raise error from None
             self.refused = error
             return

@@ -65,7 +65,8 @@ def connect(
             # The tree that is looked at next shows this process too.
             session._graph.wait(lambda: not session.process or session.process in session._graph.processes, 1.0)
             if session._place.refused is not None:
-                session._say("this GCM knows no guests: the session works, but the graph does not show it")
+                why = "this GCM knows no guests" if session._place.refused.code == "UNIMPLEMENTED" else "you may not join this system"
+                session._say(f"{why}: the session works, but the graph does not show it")
     except BaseException:
         session.close()
         raise

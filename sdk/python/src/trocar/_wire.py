@@ -149,8 +149,10 @@ class Wire:
                 channel.close()
             if error.code == "UNIMPLEMENTED":
                 return address
-            if error.reason == "NOT_LEADER" and error.metadata.get("leader"):
-                queue.insert(0, error.metadata["leader"])
+            leader = error.metadata.get("leader", "") if error.reason == "NOT_LEADER" else ""
+            # One that shows certificates leads nobody to where none are shown.
+            if leader and leader.startswith("https://") >= address.startswith("https://"):
+                queue.insert(0, leader)
         return None
 
     def _unary_of(self, name: str) -> Any:
