@@ -20,7 +20,7 @@ use trocar_model::Refusal;
 use trocar_net::Role;
 use trocar_rt::os::now_ns;
 
-use super::rights::{self, Right, is_of_components, is_own, may, needed, right};
+use super::rights::{Right, is_of_components, is_own, may, needed, right};
 use super::{Peer, PortRules, Viewer};
 use crate::control::kind::{is_grpc, is_native};
 use crate::control::services::FOR_COMPONENT;
@@ -71,6 +71,14 @@ enum Limit {
 }
 
 impl OnlyReads {
+    /// Tells whether the method of this path is open to such a caller.
+    fn may_ask(&self, path: &str) -> bool {
+        match self {
+            OnlyReads::Holder { .. } => may(Role::Viewer, right(path), false),
+            OnlyReads::Page | OnlyReads::Caller { .. } => right(path) == Some(Right::Reads),
+        }
+    }
+
     /// Tells whether the caller may be a process, which its certificate names: then it is looked at.
     pub(crate) fn is_process(&self) -> bool {
         matches!(self, OnlyReads::Holder { is_host: true, .. })
@@ -167,7 +175,7 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
         return status(&refusal).into_http::<Body>();
     }
     match request.extensions().get::<OnlyReads>() {
-        Some(limit) if !rights::only_reads(asked) => {
+        Some(limit) if !limit.may_ask(asked) => {
             let refusal = limit.refusal(verb());
             access.refused.lock().warn(now_ns(), &refusal.to_string());
             status(&refusal).into_http::<Body>()

@@ -10,8 +10,7 @@ use super::Peer;
 /// What a method does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Right {
-    /// Changes nothing. `Invoke` and `WaitFor` look at the command that is called: see `OnlyReads`. A `Tell`
-    /// that tells nothing asks who leads, and one that does looks at who tells.
+    /// Changes nothing. `Invoke` and `WaitFor` look at the command that is called: see `OnlyReads`.
     Reads,
     /// Runs what is there.
     Operates,
@@ -19,6 +18,8 @@ pub(super) enum Right {
     Administers,
     /// Tells and hears what only a process of the system does.
     Attaches,
+    /// Asks who leads. Where it tells of processes, it is looked at who tells.
+    Tells,
 }
 
 /// All methods there are.
@@ -26,7 +27,7 @@ const METHODS: [(&str, Right); 45] = [
     ("/trocar.v1.AttachService/Attach", Right::Attaches),
     ("/trocar.v1.AttachService/Feed", Right::Attaches),
     ("/trocar.v1.AttachService/Supervise", Right::Attaches),
-    ("/trocar.v1.AttachService/Tell", Right::Reads),
+    ("/trocar.v1.AttachService/Tell", Right::Tells),
     ("/trocar.v1.GcmService/Apply", Right::Administers),
     ("/trocar.v1.GcmService/Compare", Right::Reads),
     ("/trocar.v1.GcmService/Configure", Right::Operates),
@@ -75,16 +76,11 @@ pub(super) fn right(path: &str) -> Option<Right> {
     METHODS.iter().find(|(method, _)| *method == path).map(|(_, right)| *right)
 }
 
-/// Tells whether a method is open to those who only read.
-pub(super) fn only_reads(path: &str) -> bool {
-    right(path) == Some(Right::Reads)
-}
-
 /// Tells whether a role may ask what does that. `for_own`: a host asks what a component can ask for, in the
 /// name of one of its own.
 pub(super) fn may(role: Role, right: Option<Right>, for_own: bool) -> bool {
     match (role, right) {
-        (Role::Gcm, _) | (_, Some(Right::Reads)) => true,
+        (Role::Gcm, _) | (_, Some(Right::Reads | Right::Tells)) => true,
         (_, None) | (Role::Viewer, _) => false,
         (Role::Operator, Some(right)) => right == Right::Operates,
         (Role::Administrator, Some(right)) => right != Right::Attaches,
@@ -171,6 +167,7 @@ mod tests {
         ] {
             assert_eq!(rights.map(|right| may(role, right, false)), of_itself, "{role}");
             assert_eq!(rights.map(|right| may(role, right, true)), for_own, "{role} for its own");
+            assert!(may(role, Some(Right::Tells), false), "{role} asks who leads");
         }
         assert_eq!(needed(Some(Right::Operates)), "the role operator or administrator or gcm");
         assert_eq!(needed(Some(Right::Attaches)), "the role host or gcm");
