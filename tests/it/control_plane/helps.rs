@@ -25,6 +25,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("COMMAND_KIND_MISMATCH", "its help is for the author of a class"),
     ("FORMAT_MISMATCH", "its help is for the author of a class"),
     ("PROGRAMS_NOT_ALLOWED", "devices/video.rs starts the host as it says"),
+    ("ROLE_FORBIDDEN", "machines.rs asks with the certificates that it names"),
     ("FORBIDDEN", "hostile/other_user.rs asks with what `trocar token` prints"),
     ("STOP_NOT_TOLD", "its help is to wait for a process that stands still: processes/stopping.rs"),
     ("NOT_LEADER", "it needs several managers: etcd.rs"),
