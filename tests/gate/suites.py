@@ -298,7 +298,7 @@ SUITES = [
     Suite("etcd", "several managers for one system, over a real etcd", "tests", etcd),
     outer("fig4", "the figure of the paper"),
     outer("guests", "processes without a manager"),
-    outer("machines", "what is reached from other machines, and by whom", timed=True),
+    outer("machines", "a manager that other machines reach", timed=True),
     outer("odd_plugins", "plugins that are not what they say"),
     outer("plugin_guide", "the plugin guide, typed in", timed=True),
     outer("purity", "no allocation, lock or system call in a step", grpcurl=False),

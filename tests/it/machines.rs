@@ -1,11 +1,12 @@
-//! What is reached from other machines.
+//! A manager that is reached from other machines.
 //!
 //! Promise: beyond the loopback both sides show certificates of one authority, each holder does what its role
 //! says and nothing else, and one whose certificate is taken back is cut off at once.
 
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::PathBuf;
+use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, Output, Trocar, World, eventually};
@@ -49,7 +50,7 @@ impl Lab {
         Lab { gcm, world }
     }
 
-    /// Where other machines reach the manager, `HOST:PORT`.
+    /// The address at which other machines reach the manager, `HOST:PORT`.
     fn address(&self) -> String {
         let printed = self.gcm.printed();
         let found = printed.split("https://").nth(1).and_then(|rest| rest.split_whitespace().next());
@@ -213,6 +214,41 @@ fn a_certificate_that_is_taken_back_ends_what_is_open_and_opens_nothing() {
     // With another certificate in its file it comes back by itself.
     trocar.run(&["ca", "issue", "cart", "--role", "host", "--process", "cart"]).ends_with(0);
     eventually("the process is back", || lab.is("cart", "PROCESS_STATE_ATTACHED"));
+}
+
+/// Follows the system over HTTP/1.1, as a page does, and says more than it was asked, so that the server has
+/// something to read all the while. Prints a line when it hears something, and ends when it is cut off.
+const PAGE: &str = "
+import socket, ssl, sys
+at, port, identity = sys.argv[1:]
+context = ssl.create_default_context(cafile=identity)
+context.load_cert_chain(identity)
+link = context.wrap_socket(socket.create_connection((at, int(port))), server_hostname=at)
+body = bytes(5)
+head = 'POST /trocar.v1.GcmService/Watch HTTP/1.1\\r\\nHost: %s:%s\\r\\nContent-Type: application/grpc-web+proto\\r\\n' % (at, port)
+link.sendall((head + 'Content-Length: %d\\r\\n\\r\\n' % len(body)).encode() + body + b'G')
+print(link.recv(4096).split(b'\\r\\n')[0].decode(), flush=True)
+try:
+    while link.recv(4096): pass
+except OSError: pass
+print('cut off', flush=True)
+";
+
+#[test]
+fn a_page_whose_certificate_is_taken_back_follows_nothing_any_more() {
+    let lab = Lab::new();
+    let address = lab.address();
+    let (at, port) = address.rsplit_once(':').unwrap_or_default();
+    let identity = lab.identity("vera");
+    let mut page = Command::new("python3");
+    page.args(["-c", PAGE, at, port]).arg(identity).stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut page = page.spawn().unwrap_or_else(|e| panic!("python3: {e}"));
+    let told = page.stdout.take().map(BufReader::new).into_iter().flat_map(BufRead::lines);
+    let mut told = told.map(|line| line.unwrap_or_else(|e| panic!("{e}")));
+    assert_eq!(told.next().as_deref(), Some("HTTP/1.1 200 OK"));
+    Trocar::new(&lab.world).run(&["ca", "revoke", "vera"]).ends_with(0);
+    assert_eq!(told.next().as_deref(), Some("cut off"));
+    page.wait().unwrap_or_else(|e| panic!("{e}"));
 }
 
 #[test]

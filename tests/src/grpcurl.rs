@@ -63,7 +63,7 @@ impl Grpcurl {
         Self { address: address.to_owned(), identity: Some(identity.to_owned()) }
     }
 
-    /// What it says of the way: plain text, or which files to show and to believe.
+    /// Its flags for the way: plain text, or which files to show and to believe.
     fn way(&self) -> Vec<OsString> {
         let Some(file) = &self.identity else { return vec!["-plaintext".into()] };
         ["-cacert", "-cert", "-key"].into_iter().flat_map(|what| [what.into(), file.into()]).collect()

@@ -68,7 +68,7 @@ pub(super) struct HostArgs {
     tie: Tie,
 }
 
-/// How other machines reach a program.
+/// The way by which other machines reach a program.
 #[derive(Args, Clone, Debug)]
 pub(super) struct MachineArgs {
     /// Address for other machines, beside the other one; both sides show certificates there, this one that

@@ -125,7 +125,7 @@ struct Global {
     /// https://HOST:PORT for one of another machine.
     #[arg(long, global = true, value_name = "ADDR", display_order = LAST)]
     gcm: Option<String>,
-    /// What you show to other machines, as `trocar ca issue` made it [default: $TROCAR_IDENTITY].
+    /// Identity that you show to other machines, as `trocar ca issue` made it [default: $TROCAR_IDENTITY].
     #[arg(long, global = true, value_name = "FILE", display_order = LAST)]
     identity: Option<PathBuf>,
     /// Answers and errors as JSON on stdout.

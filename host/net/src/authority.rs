@@ -47,7 +47,7 @@ pub struct Authority {
     _lock: File,
 }
 
-/// What an authority has to remember.
+/// The memory of an authority.
 #[derive(Debug, Serialize, Deserialize)]
 struct Books {
     /// The name in its own certificate, which no other authority has.
@@ -89,7 +89,7 @@ pub enum AuthorityError {
     Exists { dir: PathBuf },
     /// There is none.
     Missing { dir: PathBuf },
-    /// What is wanted makes no sense.
+    /// The wish makes no sense.
     Unfit { why: String },
     /// No certificate of that name or number is valid.
     Unknown { what: String, known: Vec<String> },
@@ -131,12 +131,13 @@ impl Authority {
     /// There is one, or it cannot be written there.
     pub fn init(dir: &Path) -> Result<Authority, AuthorityError> {
         let said = broken(dir);
-        if dir.join(KEY).exists() || dir.join(CERTIFICATE).exists() {
+        DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(|e| said(&e))?;
+        let lock = lock(dir)?;
+        // Written last: without it there is none yet.
+        if dir.join(ISSUED).exists() {
             return Err(AuthorityError::Exists { dir: dir.to_owned() });
         }
-        DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(|e| said(&e))?;
         let key = KeyPair::generate().map_err(|e| said(&e))?;
-        let lock = lock(dir)?;
         let name = format!("trocar authority {}", hex(&number()?.to_bytes()[..4]));
         let mut params = own(&name);
         params.serial_number = Some(number()?);
@@ -154,7 +155,7 @@ impl Authority {
     /// # Errors
     /// There is none, or a file of it cannot be read.
     pub fn open(dir: &Path) -> Result<Authority, AuthorityError> {
-        if !dir.join(KEY).exists() {
+        if !dir.join(ISSUED).exists() {
             return Err(AuthorityError::Missing { dir: dir.to_owned() });
         }
         let lock = lock(dir)?;
@@ -183,24 +184,34 @@ impl Authority {
     /// is replaced only if it is an identity of the same name: processes that run with it take the new one.
     ///
     /// # Errors
-    /// What is wanted makes no sense, or something cannot be written.
+    /// The wish makes no sense, or something cannot be written.
     pub fn issue(&mut self, wish: &Wish, out: &Path) -> Result<Issued, AuthorityError> {
         check(wish)?;
-        if out.exists() && !Identity::read(out).is_ok_and(|there| there.holder().name == wish.name) {
-            let out = out.display();
-            return Err(unfit(format!(
-                "{out} is there, and no identity of \"{}\": name another file",
-                wish.name
-            )));
+        let now = OffsetDateTime::now_utc();
+        self.issue_for(wish, (now - BEHIND, now + Duration::days(wish.days.into())), out)
+    }
+
+    /// Issues one that is valid from the first of these times to the second.
+    pub(crate) fn issue_for(
+        &mut self,
+        wish: &Wish,
+        (from, until): (OffsetDateTime, OffsetDateTime),
+        out: &Path,
+    ) -> Result<Issued, AuthorityError> {
+        if out.exists() {
+            let another = |why: String| unfit(format!("{why}: name another file than {}", out.display()));
+            let there = Identity::read(out).map_err(|e| another(e.to_string()))?.holder();
+            if there.name != wish.name {
+                return Err(another(format!("an identity of the {there} is there")));
+            }
         }
         let said = broken(&self.dir);
-        let now = OffsetDateTime::now_utc();
         let serial = number()?;
         let key = KeyPair::generate().map_err(|e| said(&e))?;
         let mut params = CertificateParams::default();
         params.distinguished_name.push(DnType::CommonName, wish.name.as_str());
         params.serial_number = Some(serial.clone());
-        (params.not_before, params.not_after) = (now - BEHIND, now + Duration::days(wish.days.into()));
+        (params.not_before, params.not_after) = (from, until);
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         params.extended_key_usages =
             vec![ExtendedKeyUsagePurpose::ClientAuth, ExtendedKeyUsagePurpose::ServerAuth];
@@ -248,7 +259,9 @@ impl Authority {
                 known.push(one.name.clone());
             }
         }
-        let is_gone = |one: &Issued| one.revoked.is_some() && (one.name == what || one.number == what);
+        let is_gone = |one: &Issued| {
+            one.revoked.is_some() && (one.name == what || one.number == what.to_ascii_lowercase())
+        };
         if gone.is_empty() && self.books.issued.iter().any(is_gone) {
             // The list may not have come to disk when it was revoked.
             self.keep()?;
@@ -301,9 +314,15 @@ impl Authority {
 }
 
 /// Waits until nobody else uses the authority.
+///
+/// # Errors
+/// Others may write into its directory: then it could be anybody's.
 fn lock(dir: &Path) -> Result<File, AuthorityError> {
     let said = broken(dir);
     let lock = File::open(dir).map_err(|e| said(&e))?;
+    if !files::is_own(&lock.metadata().map_err(|e| said(&e))?, 0o022) {
+        return Err(said(&format!("others may write there: `chmod 700 {}`, as its user", dir.display())));
+    }
     rustix::fs::flock(&lock, FlockOperation::LockExclusive).map_err(|e| said(&e))?;
     Ok(lock)
 }

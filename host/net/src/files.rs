@@ -1,6 +1,6 @@
 //! Files that only their user reads, replaced as a whole.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
@@ -13,7 +13,7 @@ pub(crate) fn write(path: &Path, content: &str, secret: bool) -> io::Result<()> 
     let new = path.with_file_name(format!(".{name}.{}", std::process::id()));
     let mode = if secret { 0o600 } else { 0o644 };
     let done = (|| {
-        // What a killed process of this number left there is not followed, whatever it is.
+        // A killed process of this number may have left something there, which is not followed.
         match fs::remove_file(&new) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
             _ => {}
@@ -36,8 +36,7 @@ pub(crate) fn write(path: &Path, content: &str, secret: bool) -> io::Result<()> 
 pub(crate) fn read_secret(path: &Path) -> Result<String, String> {
     let said = |e: io::Error| format!("{} cannot be read: {e}", path.display());
     let file = File::open(path).map_err(said)?;
-    let open_to_others = file.metadata().map_err(said)?.mode() & 0o077;
-    if open_to_others != 0 {
+    if !is_own(&file.metadata().map_err(said)?, 0o077) {
         return Err(format!(
             "{} holds a key, and others may read or change it: `chmod 600 {}`",
             path.display(),
@@ -45,6 +44,12 @@ pub(crate) fn read_secret(path: &Path) -> Result<String, String> {
         ));
     }
     io::read_to_string(file).map_err(said)
+}
+
+/// Tells whether a file is this user's or root's, and others have none of these rights in it.
+pub(crate) fn is_own(file: &Metadata, rights: u32) -> bool {
+    let own = [rustix::process::geteuid().as_raw(), 0];
+    own.contains(&file.uid()) && file.mode() & rights == 0
 }
 
 /// Tells one content of a file from another that took its place.

@@ -1,4 +1,4 @@
-//! Who holds a certificate: its name, role and processes, as the authority wrote them into it.
+//! The holder of a certificate: its name, role and processes, as the authority wrote them into it.
 //!
 //! In a certificate each of them is a URI among its alternative names, `trocar:name:NAME`,
 //! `trocar:role:ROLE`, `trocar:process:PATTERN`. Invariant: a certificate without exactly one name and one
@@ -45,7 +45,7 @@ impl Holder {
         Ok(Holder { name: one(NAME)?, role, processes, serial: read.serial().to_vec() })
     }
 
-    /// What stands in a certificate of that name, role and processes.
+    /// The words in a certificate of that name, role and processes.
     pub(crate) fn uris(name: &str, role: Role, processes: &[String]) -> Vec<String> {
         let processes = processes.iter().map(|process| format!("{PROCESS}{process}"));
         [format!("{NAME}{name}"), format!("{ROLE}{role}")].into_iter().chain(processes).collect()

@@ -1,4 +1,4 @@
-//! What a process shows of itself: its key and certificate, and the authority it trusts, in one PEM file.
+//! The identity that a process shows: its key and certificate, and the authority it trusts, in one PEM file.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -55,7 +55,7 @@ impl Identity {
         Ok(Identity { path: path.to_owned(), now: Mutex::new(now) })
     }
 
-    /// Who this is.
+    /// The holder that it shows.
     pub fn holder(&self) -> Holder {
         self.now().holder
     }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use parking_lot::Mutex;
+use rustls::RootCertStore;
 use rustls::pki_types::CertificateRevocationListDer;
 use rustls::pki_types::pem::PemObject;
 use webpki::{CertRevocationList, OwnedCertRevocationList};
@@ -55,6 +56,16 @@ impl Revoked {
         self.look();
         // A list that cannot be searched says nothing good of anybody.
         self.now.lock().list.find_serial(serial).map_or(true, |found| found.is_some())
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Tells whether one of these authorities has made the list.
+    pub(crate) fn is_of(&self, roots: &RootCertStore) -> bool {
+        let now = self.now.lock();
+        roots.roots.iter().any(|root| root.subject.as_ref() == now.list.issuer())
     }
 
     pub(crate) fn der(&self) -> CertificateRevocationListDer<'static> {

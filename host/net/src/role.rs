@@ -1,4 +1,4 @@
-//! What a certificate lets its holder do.
+//! The rights that a certificate gives its holder, by a name.
 
 use std::fmt;
 use std::str::FromStr;

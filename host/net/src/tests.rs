@@ -82,7 +82,7 @@ fn name() -> ServerName<'static> {
     ServerName::try_from("somewhere").unwrap()
 }
 
-/// Who the server takes the caller for; else what each side says.
+/// The caller as the server takes it; else the words of each side.
 fn meet(server: &Server, client: &Client) -> Result<Holder, (String, String)> {
     let mut client = ClientConnection::new(client.config(), name()).unwrap();
     let mut server = ServerConnection::new(server.config()).unwrap();
@@ -99,8 +99,8 @@ fn listens(identity: &Arc<Identity>, revoked: Option<Arc<Revoked>>) -> Server {
     Server::new(identity.clone(), revoked, &["h2"]).unwrap()
 }
 
-fn calls(identity: &Arc<Identity>, expected: Expected) -> Client {
-    Client::new(identity.clone(), None, expected, &["h2"]).unwrap()
+fn calls(identity: &Arc<Identity>) -> Client {
+    Client::new(identity.clone(), None, &["h2"]).unwrap()
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn both_sides_know_each_other_by_what_their_authority_says() {
     let mut place = Place::new();
     let (gcm, cart) = (place.issue("or1", Role::Gcm), place.issue("cart", Role::Host));
     let server = listens(&gcm, Some(place.revoked()));
-    let known = meet(&server, &calls(&cart, Expected::Gcm)).unwrap();
+    let known = meet(&server, &calls(&cart)).unwrap();
     assert_eq!((known.name.as_str(), known.role), ("cart", Role::Host));
     assert!(known.is_process("cart-left") && !known.is_process("other"));
     assert_eq!(known.to_string(), "host cart");
@@ -116,15 +116,12 @@ fn both_sides_know_each_other_by_what_their_authority_says() {
 }
 
 #[test]
-fn whoever_is_not_who_is_meant_is_not_believed() {
+fn nobody_but_a_gcm_is_believed_to_be_one() {
     let mut place = Place::new();
     let (gcm, cart) = (place.issue("or1", Role::Gcm), place.issue("cart", Role::Host));
     let server = listens(&cart, None);
-    let (why, _) = meet(&server, &calls(&gcm, Expected::Gcm)).unwrap_err();
+    let (why, _) = meet(&server, &calls(&gcm)).unwrap_err();
     assert!(why.contains("host cart") && why.contains("gcm is expected"), "{why}");
-    let (why, _) = meet(&server, &calls(&gcm, Expected::Process("left".into()))).unwrap_err();
-    assert!(why.contains("may not be the process left"), "{why}");
-    meet(&server, &calls(&gcm, Expected::Process("cart-1".into()))).unwrap();
 }
 
 #[test]
@@ -132,7 +129,7 @@ fn a_stranger_and_one_of_another_authority_are_refused() {
     let (mut place, mut other) = (Place::new(), Place::new());
     let (gcm, foreign) = (place.issue("or1", Role::Gcm), other.issue("cart", Role::Host));
     let server = listens(&gcm, Some(place.revoked()));
-    let (why, _) = meet(&server, &calls(&foreign, Expected::Gcm)).unwrap_err();
+    let (why, _) = meet(&server, &calls(&foreign)).unwrap_err();
     assert!(why.contains("another authority"), "the caller does not believe the gcm either: {why}");
     // A caller that believes everybody, and shows nothing or a foreign certificate.
     let mut roots = RootCertStore::empty();
@@ -156,13 +153,13 @@ fn what_was_revoked_is_refused_at_once_and_what_is_issued_anew_is_not() {
     let mut place = Place::new();
     let (gcm, anna) = (place.issue("or1", Role::Gcm), place.issue("anna", Role::Operator));
     let server = listens(&gcm, Some(place.revoked()));
-    meet(&server, &calls(&anna, Expected::Gcm)).unwrap();
+    meet(&server, &calls(&anna)).unwrap();
     let gone = place.authority.revoke("anna").unwrap();
     assert_eq!(gone.iter().map(|one| one.number.clone()).collect::<Vec<_>>(), [anna.holder().number()]);
-    let (_, why) = meet(&server, &calls(&anna, Expected::Gcm)).unwrap_err();
+    let (_, why) = meet(&server, &calls(&anna)).unwrap_err();
     assert_eq!(why, "its certificate was revoked");
     assert!(server.revoked().unwrap().has(&anna.holder().serial));
-    let calling = calls(&anna, Expected::Gcm);
+    let calling = calls(&anna);
     let _again = place.issue("anna", Role::Operator);
     meet(&server, &calling).expect("the identity in the file is shown, and that is another one now");
     let unknown = place.authority.revoke("berta").unwrap_err().to_string();
@@ -183,6 +180,55 @@ fn a_list_or_an_identity_that_breaks_leaves_what_was_read_before() {
     assert!(server.revoked().unwrap().has(&anna.holder().serial), "and is");
     std::fs::write(place.at("or1"), "nothing of the kind").unwrap();
     assert_eq!(gcm.holder().name, "or1");
+}
+
+#[test]
+fn a_certificate_opens_nothing_before_and_after_its_time() {
+    let mut place = Place::new();
+    let (gcm, anna) = (place.issue("or1", Role::Gcm), place.issue("anna", Role::Operator));
+    let (now, day) = (time::OffsetDateTime::now_utc(), time::Duration::days(1));
+    for (from, until, of_gcm, of_anna) in [
+        (now - day, now - day / 2, "has expired", "has expired"),
+        (now + day / 2, now + day, "not valid yet", "not valid yet"),
+    ] {
+        let at = place.at("anna");
+        place.authority.issue_for(&wish("anna", Role::Operator), (from, until), &at).unwrap();
+        let (of_caller, of_port) = meet(&listens(&gcm, None), &calls(&anna)).unwrap_err();
+        assert!(of_port.contains(of_anna), "{of_port}");
+        assert!(of_caller.contains("this side") || of_caller.contains("ended it"), "{of_caller}");
+        let late = place.at("late");
+        place.authority.issue_for(&wish("late", Role::Gcm), (from, until), &late).unwrap();
+        let late = Arc::new(Identity::read(&late).unwrap());
+        place.issue("anna", Role::Operator);
+        let (of_caller, _) = meet(&listens(&late, None), &calls(&anna)).unwrap_err();
+        assert!(of_caller.contains(of_gcm), "{of_caller}");
+    }
+}
+
+#[test]
+fn a_list_of_another_authority_is_refused_where_it_is_named() {
+    let (mut place, other) = (Place::new(), Place::new());
+    let gcm = place.issue("or1", Role::Gcm);
+    let why = Server::new(gcm.clone(), Some(other.revoked()), &["h2"]).unwrap_err();
+    assert!(why.contains("another authority") && why.contains("revoked.crl"), "{why}");
+    assert!(Client::new(gcm.clone(), Some(other.revoked()), &["h2"]).is_err());
+    Client::new(gcm, Some(place.revoked()), &["h2"]).unwrap();
+}
+
+#[test]
+fn an_authority_that_was_not_made_to_its_end_is_made_anew_and_one_that_others_write_is_none() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let temp = tempfile::tempdir().unwrap();
+    let dir = temp.path().join("authority");
+    drop(Authority::init(&dir).unwrap());
+    std::fs::remove_file(dir.join("issued.json")).unwrap();
+    assert!(Authority::open(&dir).unwrap_err().to_string().contains("no authority"));
+    drop(Authority::init(&dir).unwrap());
+    drop(Authority::open(&dir).unwrap());
+    std::fs::set_permissions(&dir, std::fs::Permissions::from_mode(0o777)).unwrap();
+    let why = Authority::open(&dir).unwrap_err().to_string();
+    assert!(why.contains("chmod 700"), "{why}");
 }
 
 #[test]

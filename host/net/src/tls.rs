@@ -27,6 +27,19 @@ fn provider() -> Arc<CryptoProvider> {
     Arc::new(ring::default_provider())
 }
 
+/// # Errors
+/// The list of revoked certificates is of another authority: nothing on it could be found.
+fn is_of_ours(identity: &Identity, revoked: Option<&Revoked>) -> Result<(), String> {
+    match revoked {
+        Some(list) if !list.is_of(&identity.roots()) => Err(format!(
+            "the list {} is of another authority than {}",
+            list.path().display(),
+            identity.path().display()
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Shows the identity as it is when a connection begins.
 #[derive(Debug)]
 struct Shows(Arc<Identity>);
@@ -47,7 +60,7 @@ impl ResolvesClientCert for Shows {
     }
 }
 
-/// What a listener needs.
+/// The needs of a listener.
 #[derive(Clone, Debug)]
 pub struct Server {
     config: Arc<ServerConfig>,
@@ -64,6 +77,7 @@ impl Server {
         revoked: Option<Arc<Revoked>>,
         protocols: &[&str],
     ) -> Result<Server, String> {
+        is_of_ours(&identity, revoked.as_deref())?;
         let trust = Arc::new(TrustsCallers::new(identity.clone(), revoked.clone())?);
         let mut config = ServerConfig::builder_with_provider(provider())
             .with_protocol_versions(&[&rustls::version::TLS13])
@@ -148,7 +162,7 @@ impl ClientCertVerifier for TrustsCallers {
         _: &CertificateDer<'_>,
         _: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, Error> {
-        Err(Error::General("TLS 1.2 is not spoken".into()))
+        not_spoken()
     }
 
     fn verify_tls13_signature(
@@ -157,24 +171,15 @@ impl ClientCertVerifier for TrustsCallers {
         certificate: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls13_signature(message, certificate, signed, &provider().signature_verification_algorithms)
+        has_signed(message, certificate, signed)
     }
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        provider().signature_verification_algorithms.supported_schemes()
+        schemes()
     }
 }
 
-/// Whom a caller means to reach.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Expected {
-    /// A manager.
-    Gcm,
-    /// The process of this name, or a manager that is it.
-    Process(String),
-}
-
-/// What a caller needs.
+/// The needs of a caller.
 #[derive(Clone, Debug)]
 pub struct Client {
     config: Arc<ClientConfig>,
@@ -186,10 +191,10 @@ impl Client {
     pub fn new(
         identity: Arc<Identity>,
         revoked: Option<Arc<Revoked>>,
-        expected: Expected,
         protocols: &[&str],
     ) -> Result<Client, String> {
-        let trust = Arc::new(TrustsCalled { identity: identity.clone(), revoked, expected });
+        is_of_ours(&identity, revoked.as_deref())?;
+        let trust = Arc::new(TrustsCalled { identity: identity.clone(), revoked });
         let mut config = ClientConfig::builder_with_provider(provider())
             .with_protocol_versions(&[&rustls::version::TLS13])
             .map_err(|e| e.to_string())?
@@ -198,7 +203,7 @@ impl Client {
             .with_client_cert_resolver(Arc::new(Shows(identity)));
         config.alpn_protocols = protocols.iter().map(|name| name.as_bytes().to_vec()).collect();
         config.enable_sni = false;
-        // Who is called shows its certificate each time.
+        // A port shows its certificate each time.
         config.resumption = Resumption::disabled();
         Ok(Client { config: Arc::new(config) })
     }
@@ -208,12 +213,11 @@ impl Client {
     }
 }
 
-/// Believes one that is called if its certificate says that it is who is meant.
+/// Believes a manager: nobody else is called.
 #[derive(Debug)]
 struct TrustsCalled {
     identity: Arc<Identity>,
     revoked: Option<Arc<Revoked>>,
-    expected: Expected,
 }
 
 impl ServerCertVerifier for TrustsCalled {
@@ -232,16 +236,10 @@ impl ServerCertVerifier for TrustsCalled {
         if self.revoked.as_ref().is_some_and(|list| list.has(&holder.serial)) {
             return Err(Error::InvalidCertificate(CertificateError::Revoked));
         }
-        match &self.expected {
-            Expected::Gcm if holder.role == Role::Gcm => Ok(ServerCertVerified::assertion()),
-            Expected::Process(process) if holder.is_process(process) => Ok(ServerCertVerified::assertion()),
-            Expected::Gcm => {
-                Err(other(format!("its certificate is of the {holder}, and a gcm is expected there")))
-            }
-            Expected::Process(process) => Err(other(format!(
-                "its certificate is of the {holder}, which may not be the process {process}"
-            ))),
+        if holder.role != Role::Gcm {
+            return Err(other(format!("its certificate is of the {holder}, and a gcm is expected there")));
         }
+        Ok(ServerCertVerified::assertion())
     }
 
     fn verify_tls12_signature(
@@ -250,7 +248,7 @@ impl ServerCertVerifier for TrustsCalled {
         _: &CertificateDer<'_>,
         _: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, Error> {
-        Err(Error::General("TLS 1.2 is not spoken".into()))
+        not_spoken()
     }
 
     fn verify_tls13_signature(
@@ -259,12 +257,28 @@ impl ServerCertVerifier for TrustsCalled {
         certificate: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls13_signature(message, certificate, signed, &provider().signature_verification_algorithms)
+        has_signed(message, certificate, signed)
     }
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        provider().signature_verification_algorithms.supported_schemes()
+        schemes()
     }
+}
+
+fn not_spoken() -> Result<HandshakeSignatureValid, Error> {
+    Err(Error::General("TLS 1.2 is not spoken".into()))
+}
+
+fn has_signed(
+    message: &[u8],
+    certificate: &CertificateDer<'_>,
+    signed: &DigitallySignedStruct,
+) -> Result<HandshakeSignatureValid, Error> {
+    verify_tls13_signature(message, certificate, signed, &provider().signature_verification_algorithms)
+}
+
+fn schemes() -> Vec<SignatureScheme> {
+    provider().signature_verification_algorithms.supported_schemes()
 }
 
 #[derive(Debug)]

@@ -19,7 +19,7 @@ use tonic::transport::{Channel, Endpoint, Uri};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 use tower::service_fn;
-use trocar_net::{Client, Expected, Identity, Revoked};
+use trocar_net::{Client, Identity, Revoked};
 
 use self::told::{Told, Why};
 use super::caller::{Tokened, with_token};
@@ -36,10 +36,10 @@ const PROTOCOLS: [&str; 1] = ["h2"];
 /// In front of addresses where both sides show certificates.
 const SECURED: &str = "https://";
 
-/// Why nobody is reached; its innermost cause says it.
+/// The reason why nobody is reached; its innermost cause says it.
 pub type DialError = Box<dyn Error + Send + Sync>;
 
-/// What this process shows of itself where certificates are asked for.
+/// The way of this process to ports, with the identity that it shows where certificates are asked for.
 #[derive(Clone, Debug, Default)]
 pub struct Dialler {
     identity: Option<Arc<Identity>>,
@@ -146,7 +146,7 @@ impl Dialler {
                         TROCAR_IDENTITY, which `trocar ca issue` makes"
                 .into());
         };
-        let client = Client::new(identity, self.revoked.clone(), Expected::Gcm, &PROTOCOLS)?;
+        let client = Client::new(identity, self.revoked.clone(), &PROTOCOLS)?;
         Ok((endpoint, Some(client)))
     }
 }

@@ -25,7 +25,7 @@ pub struct HostConfig {
     pub fresh: bool,
     /// Rights of callers at that address.
     pub rules: PortRules,
-    /// How other machines know it, and reach it.
+    /// The way by which other machines know it, and reach it.
     pub machines: Machines,
     /// The GCM to attach to; `None`: this host embeds one.
     pub gcm: Option<String>,

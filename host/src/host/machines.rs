@@ -1,4 +1,4 @@
-//! How a process is known to other machines, and reached by them.
+//! The way by which other machines know a process, and reach it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use trocar_net::{Identity, Revoked};
 use super::HostError;
 use crate::control::{Dialler, Secured};
 
-/// How a process is known to other machines, and reached by them; by default it is not.
+/// The way by which other machines know a process, and reach it; by default they do not.
 #[derive(Clone, Debug, Default)]
 pub struct Machines {
     /// File of its identity, which `trocar ca issue` made.

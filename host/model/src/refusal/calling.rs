@@ -174,7 +174,7 @@ macro_rules! calling {
         what: String,
         /// By the certificate.
         caller: String,
-        /// What the certificate would have to say.
+        /// Words that the certificate would have to have.
         needs: String,
     } => {
         code: PermissionDenied, reason: "ROLE_FORBIDDEN",

@@ -23,9 +23,9 @@ pub type FeedOutbound = ReceiverStream<Result<v1::FeedResponse, Status>>;
 
 /// The sessions that may have a Feed.
 #[derive(Default)]
-pub(super) struct Feeds(Mutex<BTreeMap<Name, Expected>>);
+pub(super) struct Feeds(Mutex<BTreeMap<Name, Attached>>);
 
-struct Expected {
+struct Attached {
     instance: u128,
     epoch: u64,
     lcm: Weak<RemoteLcm>,
@@ -36,7 +36,7 @@ impl Feeds {
     pub(super) fn expect(&self, process: &Name, (instance, epoch): (u128, u64), lcm: &Arc<RemoteLcm>) {
         let mut all = self.0.lock();
         all.retain(|_, expected| expected.lcm.strong_count() > 0);
-        all.insert(process.clone(), Expected { instance, epoch, lcm: Arc::downgrade(lcm) });
+        all.insert(process.clone(), Attached { instance, epoch, lcm: Arc::downgrade(lcm) });
     }
 
     fn session(&self, hello: &v1::FeedHello) -> Result<Arc<RemoteLcm>, Refusal> {

@@ -24,7 +24,7 @@ use trocar_proto::v1::{attach_request, attach_response};
 pub use self::feeds::FeedOutbound;
 use self::feeds::Feeds;
 use self::remote::{Outgoing, RemoteLcm, message};
-use super::caller::{OnlyReads, Peer, is_process};
+use super::caller::{Peer, is_process};
 use super::convert;
 use super::status::status;
 use crate::gcm::{Gcm, Registered, Registration, Told};
@@ -71,7 +71,7 @@ impl AttachEdge {
         self.hear_from(None, inbound).await
     }
 
-    /// Hears one who may be the processes that its certificate names.
+    /// Does the same for a caller that may be the processes that its certificate names.
     async fn hear_from<I>(&self, peer: Option<&Peer>, mut inbound: I) -> Result<Outbound, Status>
     where
         I: Stream<Item = Result<v1::AttachRequest, Status>> + Send + Unpin + 'static,
@@ -104,7 +104,6 @@ impl AttachEdge {
     async fn take_in(&self, hello: v1::Hello, out: &Outgoing) -> Result<Attached, Refusal> {
         let process = Name::parse(&hello.process)?;
         let inventory = convert::inventory_in(hello.inventory.unwrap_or_default())?;
-        let inventory = own::inventory(&process, inventory);
         let instance: [u8; 16] =
             hello.instance.as_slice().try_into().map_err(|_| convert::unreadable("instance (16 bytes)"))?;
         let who = Registration {
@@ -120,6 +119,7 @@ impl AttachEdge {
         };
         let (instance, feeds) = (who.instance, hello.feeds);
         let lcm = RemoteLcm::new(process.clone(), out.clone(), feeds);
+        let inventory = lcm.own(inventory);
         let registered = self.gcm.register(who, lcm.clone(), inventory).await?;
         if feeds {
             self.feeds.expect(&process, (instance, registered.epoch), &lcm);
@@ -185,9 +185,6 @@ impl AttachService for AttachEdge {
         let (_, extensions, asked) = request.into_parts();
         for told in &asked.processes {
             is_process(extensions.get(), "Tell", &told.process).map_err(|refusal| status(&refusal))?;
-            if let Some(limit) = extensions.get::<OnlyReads>().filter(|limit| !limit.is_process()) {
-                return Err(status(&limit.refusal("Tell".into())));
-            }
         }
         let told: Result<Vec<Told>, Refusal> = asked.processes.into_iter().map(convert::told).collect();
         // A report is entered only if all of it is understood.

@@ -19,7 +19,7 @@ use trocar_proto::v1::answer::Answer as A;
 use trocar_proto::v1::order::Order as O;
 use trocar_proto::v1::{self, attach_request, attach_response, news};
 
-use super::own;
+use super::own::Own;
 use super::road::{Beside, FeedOutgoing, Road};
 use crate::control::convert;
 use crate::lcm::{
@@ -41,6 +41,7 @@ pub(super) type Outgoing = mpsc::Sender<Result<v1::AttachResponse, Status>>;
 
 pub(super) struct RemoteLcm {
     process: Name,
+    own: Own,
     next: AtomicU64,
     beside: Beside,
     /// `None` once the stream is gone.
@@ -98,7 +99,18 @@ impl RemoteLcm {
     pub(super) fn new(process: Name, out: Outgoing, feeds: bool) -> Arc<RemoteLcm> {
         let link = Link { out, news: broadcast::Sender::new(NEWS), waiting: HashMap::new() };
         let (next, link) = (AtomicU64::new(1), Arc::new(Mutex::new(Some(link))));
-        Arc::new(RemoteLcm { process, next, beside: Beside::new(feeds), link })
+        Arc::new(RemoteLcm {
+            own: Own::new(process.clone()),
+            process,
+            next,
+            beside: Beside::new(feeds),
+            link,
+        })
+    }
+
+    /// Returns what of an inventory is the process's own.
+    pub(super) fn own(&self, inventory: Inventory) -> Inventory {
+        self.own.inventory(inventory)
     }
 
     /// Sends questions over this Feed from now on; returns its number.
@@ -137,7 +149,7 @@ impl RemoteLcm {
             Some(attach_request::Message::Answer(answer)) => self.answered(answer),
             Some(attach_request::Message::News(news)) => match news_in(news) {
                 Ok(news) => {
-                    let own = own::news(&self.process, news);
+                    let own = self.own.news(news);
                     if let (Some(news), Some(link)) = (own, self.link.lock().as_ref()) {
                         // The GCM that listens may just be letting go.
                         let _ = link.news.send(news);
@@ -198,7 +210,7 @@ impl RemoteLcm {
     }
 
     fn report_in(&self, told: v1::ComponentReport) -> Result<Report, Refusal> {
-        own::report(&self.process, convert::report_in(told)?)
+        self.own.report(convert::report_in(told)?)
     }
 
     async fn ask(&self, order: O, deadline: Instant, what: &str) -> Result<A, Refusal> {
@@ -350,7 +362,7 @@ impl Lcm for RemoteLcm {
     async fn stop(&self, stop: Stop, order: Order) -> Result<Vec<Halted>, Refusal> {
         let asked = (O::Stop(convert::stop_out(&stop)), None);
         match self.ask_for(self.number(), asked, order, "a Stop", (None, None)).await? {
-            A::Halted(halted) => Ok(own::halted(&self.process, convert::halted_in(halted)?)),
+            A::Halted(halted) => Ok(self.own.halted(convert::halted_in(halted)?)),
             _ => wrong(),
         }
     }
@@ -419,9 +431,8 @@ impl Lcm for RemoteLcm {
         let order = v1::DetailsOrder { paths: ids.iter().map(ToString::to_string).collect() };
         match self.question_beside(O::Details(order), "the figures of its components").await? {
             A::Details(told) => {
-                let all: Result<Vec<_>, Refusal> =
-                    told.components.into_iter().map(convert::detail_in).collect();
-                Ok(all?.into_iter().filter(|(id, _)| id.process == self.process).collect())
+                let all = told.components.into_iter().map(convert::detail_in);
+                Ok(self.own.details(all.collect::<Result<_, _>>()?))
             }
             _ => wrong(),
         }
@@ -463,7 +474,7 @@ impl Lcm for RemoteLcm {
 
     async fn inventory(&self) -> Result<Inventory, Refusal> {
         match self.question(O::Inventory(v1::InventoryOrder {}), "its inventory").await? {
-            A::Inventory(inventory) => Ok(own::inventory(&self.process, convert::inventory_in(inventory)?)),
+            A::Inventory(inventory) => Ok(self.own.inventory(convert::inventory_in(inventory)?)),
             _ => wrong(),
         }
     }

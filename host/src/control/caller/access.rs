@@ -41,7 +41,7 @@ pub(crate) struct Access {
     pub(crate) readers: Arc<Semaphore>,
 }
 
-/// Requests of other users' programs that may be open at once, streams among them.
+/// Requests that those who only read may have open at once, streams among them.
 pub(crate) const READERS: usize = 64;
 
 /// The caller may only read; a method that can do both may only read for it. Says why.
@@ -51,8 +51,8 @@ pub(crate) enum OnlyReads {
     Page,
     /// A program of a user without further rights.
     Caller { who: String, user: u32 },
-    /// One whose certificate lets it read. `is_host`: beside what a process does.
-    Holder { who: String, is_host: bool },
+    /// One whose certificate lets it read, beside what else it may.
+    Holder { who: String },
 }
 
 /// The caller has the rights of its certificate.
@@ -60,11 +60,11 @@ pub(crate) enum OnlyReads {
 struct Bounded {
     who: String,
     role: Role,
-    /// It asks for a component of a process that it may be.
+    /// It asks what components can ask for, in the name of one of a process that it may be.
     for_own: bool,
 }
 
-/// What a caller may not.
+/// Bounds of what a caller may ask.
 enum Limit {
     Reads(OnlyReads),
     Role(Bounded),
@@ -79,17 +79,12 @@ impl OnlyReads {
         }
     }
 
-    /// Tells whether the caller may be a process, which its certificate names: then it is looked at.
-    pub(crate) fn is_process(&self) -> bool {
-        matches!(self, OnlyReads::Holder { is_host: true, .. })
-    }
-
     /// Returns the refusal of `what`, which changes something, to such a caller.
     pub(crate) fn refusal(&self, what: String) -> Refusal {
         match self {
             OnlyReads::Page => Refusal::ReadOnly { what },
             OnlyReads::Caller { who, user } => Refusal::Forbidden { what, caller: who.clone(), user: *user },
-            OnlyReads::Holder { who, .. } => {
+            OnlyReads::Holder { who } => {
                 let needs = needed(Some(Right::Operates));
                 Refusal::RoleForbidden { what, caller: who.clone(), needs }
             }
@@ -98,17 +93,17 @@ impl OnlyReads {
 }
 
 impl Access {
-    /// `None`: everything.
-    fn limit(&self, peer: Option<&Peer>, headers: &HeaderMap, native: bool) -> Option<Limit> {
+    /// `asked`: the path of the request. `None`: everything.
+    fn limit(&self, peer: Option<&Peer>, headers: &HeaderMap, native: bool, asked: &str) -> Option<Limit> {
         if self.rules.viewer == Viewer::ReadOnly && !native {
             return Some(Limit::Reads(OnlyReads::Page));
         }
         if let Some((peer, holder)) = peer.and_then(|peer| Some((peer, peer.holder()?))) {
             let who = peer.to_string();
             let component = headers.get(FOR_COMPONENT).and_then(|path| path.to_str().ok());
-            let for_own = is_own(holder, component);
+            let for_own = is_own(holder, component) && is_of_components(asked);
             return match holder.role {
-                Role::Viewer => Some(Limit::Reads(OnlyReads::Holder { who, is_host: false })),
+                Role::Viewer => Some(Limit::Reads(OnlyReads::Holder { who })),
                 role => Some(Limit::Role(Bounded { who, role, for_own })),
             };
         }
@@ -145,13 +140,12 @@ fn is_same(known: &[u8], sent: &[u8]) -> bool {
 /// Stands before everything, pages and services: marks requests of a caller that only reads.
 pub(crate) async fn known(State(access): State<Arc<Access>>, mut request: Request, next: Next) -> Response {
     let peer = request.extensions().get::<Peer>();
-    match access.limit(peer, request.headers(), is_native(&request)) {
+    match access.limit(peer, request.headers(), is_native(&request), request.uri().path()) {
         Some(Limit::Reads(limit)) => _ = request.extensions_mut().insert(limit),
         Some(Limit::Role(limit)) => {
             if limit.role == Role::Host && !limit.for_own {
                 // Which command it calls is looked at where that is known.
-                let who = limit.who.clone();
-                request.extensions_mut().insert(OnlyReads::Holder { who, is_host: true });
+                request.extensions_mut().insert(OnlyReads::Holder { who: limit.who.clone() });
             }
             request.extensions_mut().insert(limit);
         }
@@ -167,7 +161,7 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
     let verb = || asked.rsplit('/').next().unwrap_or_default().to_owned();
     if let Some(Bounded { who, role, for_own }) = request.extensions().get() {
         let right = right(asked);
-        if may(*role, right, *for_own && is_of_components(asked)) {
+        if may(*role, right, *for_own) {
             return next.run(request).await;
         }
         let refusal = Refusal::RoleForbidden { what: verb(), caller: who.clone(), needs: needed(right) };
@@ -191,7 +185,7 @@ pub(crate) async fn only_reads(State(access): State<Arc<Access>>, request: Reque
                 }),
                 Err(_) => {
                     let said = format!(
-                        "other users' programs have {READERS} requests open here, which is all they get: end some, or ask again"
+                        "those who only read have {READERS} requests open here, which is all they get: end some, or ask again"
                     );
                     // A program that reads video looks at the HTTP status alone.
                     if is_grpc(request.headers()) {
@@ -288,6 +282,35 @@ mod tests {
         Peer { from: From::Address(([127, 0, 0, 1], 4242).into()), uid, holder: None }
     }
 
+    const LIST: &str = "/trocar.v1.GcmService/List";
+
+    /// A certificate of a host, with which a request comes for this component.
+    fn of_host(component: &str, asked: &str) -> Option<Limit> {
+        let (name, processes) = ("cart".to_owned(), vec!["cart".to_owned()]);
+        let holder = Arc::new(trocar_net::Holder { name, role: Role::Host, processes, serial: vec![1] });
+        let peer = Peer::of_holder(holder, ([10, 0, 0, 7], 4242).into());
+        let mut headers = HeaderMap::new();
+        headers.insert(FOR_COMPONENT, component.parse().unwrap());
+        access(None).limit(Some(&peer), &headers, true, asked)
+    }
+
+    #[test]
+    fn a_host_asks_in_the_name_of_its_own_components_what_components_ask_and_nothing_else() {
+        let for_own = |component: &str, asked: &str| match of_host(component, asked) {
+            Some(Limit::Role(Bounded { role: Role::Host, for_own, .. })) => for_own,
+            _ => panic!("{component} {asked}"),
+        };
+        assert!(for_own("cart/arm", "/trocar.v1.GcmService/Create"));
+        assert!(!for_own("left/arm", "/trocar.v1.GcmService/Create"));
+        for asked in [
+            "/trocar.v1.InteractService/Invoke",
+            "/trocar.v1.GuestService/Join",
+            LIST.trim_end_matches("List"),
+        ] {
+            assert_eq!(for_own("cart/arm", asked), asked.starts_with("/trocar.v1.GcmService/"), "{asked}");
+        }
+    }
+
     fn reads(limit: Option<Limit>) -> OnlyReads {
         match limit {
             Some(Limit::Reads(limit)) => limit,
@@ -315,14 +338,14 @@ mod tests {
     fn the_hosts_user_and_root_may_everything_and_whoever_else_is_told_who_may() {
         let (access, none) = (access(None), HeaderMap::new());
         for uid in [1000, 0] {
-            assert!(access.limit(Some(&peer(Some(uid))), &none, true).is_none(), "{uid}");
+            assert!(access.limit(Some(&peer(Some(uid))), &none, true, LIST).is_none(), "{uid}");
         }
         for (caller, named) in [
             (Some(peer(Some(65534))), "user 65534 at 127.0.0.1:4242"),
             (Some(peer(None)), "an unknown user at 127.0.0.1:4242"),
             (None, "an unknown caller"),
         ] {
-            let limit = reads(access.limit(caller.as_ref(), &none, true));
+            let limit = reads(access.limit(caller.as_ref(), &none, true, LIST));
             let refusal = limit.refusal("Create".into());
             assert_eq!(refusal.reason(), "FORBIDDEN");
             let said = refusal.to_string();
@@ -335,16 +358,16 @@ mod tests {
         let temp = tempfile::tempdir().unwrap();
         let tokens = RuntimeDir::at(temp.path());
         let (access, stranger) = (access(Some(tokens.clone())), peer(Some(65534)));
-        assert!(access.limit(Some(&stranger), &with("no-token-there"), true).is_some());
+        assert!(access.limit(Some(&stranger), &with("no-token-there"), true, LIST).is_some());
         let token = tokens.token().unwrap();
-        assert!(access.limit(Some(&stranger), &with(&token), true).is_none());
+        assert!(access.limit(Some(&stranger), &with(&token), true, LIST).is_none());
         for wrong in ["", &token[1..], &token.replace(|_: char| true, "0"), &format!("{token}0")] {
-            let limit = reads(access.limit(Some(&stranger), &with(wrong), true));
+            let limit = reads(access.limit(Some(&stranger), &with(wrong), true, LIST));
             let said = limit.refusal("Create".into()).to_string();
             assert!(said.contains("a token that is not this host's"), "{said}");
         }
         std::fs::remove_file(temp.path().join("token")).unwrap();
-        assert!(access.limit(Some(&stranger), &with(&token), true).is_some(), "it was withdrawn");
+        assert!(access.limit(Some(&stranger), &with(&token), true, LIST).is_some(), "it was withdrawn");
     }
 
     #[test]
@@ -352,14 +375,14 @@ mod tests {
         let rules = PortRules { viewer: Viewer::ReadOnly, ..PortRules::default() };
         let access = Access { rules, ..access(None) };
         let (own, none) = (peer(Some(1000)), HeaderMap::new());
-        assert!(matches!(access.limit(Some(&own), &none, false), Some(Limit::Reads(OnlyReads::Page))));
-        assert!(access.limit(Some(&own), &none, true).is_none());
+        assert!(matches!(access.limit(Some(&own), &none, false, LIST), Some(Limit::Reads(OnlyReads::Page))));
+        assert!(access.limit(Some(&own), &none, true, LIST).is_none());
     }
 
     #[test]
     fn an_open_port_asks_nobody() {
         let rules = PortRules { open_loopback: true, ..PortRules::default() };
         let access = Access { rules, ..access(None) };
-        assert!(access.limit(Some(&peer(Some(65534))), &HeaderMap::new(), true).is_none());
+        assert!(access.limit(Some(&peer(Some(65534))), &HeaderMap::new(), true, LIST).is_none());
     }
 }

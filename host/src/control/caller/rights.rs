@@ -1,4 +1,5 @@
-//! What the methods of a port do, and which certificates let their holders ask them. One row for each method.
+//! A table of the methods of a port: what each does, and which certificates let their holders ask them. One
+//! row for each method.
 //!
 //! Invariant: a method without a row is nobody's but a GCM's, so a new one is refused until it has one.
 
@@ -7,7 +8,7 @@ use trocar_net::{Holder, Role};
 
 use super::Peer;
 
-/// What a method does.
+/// The kind of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Right {
     /// Changes nothing. `Invoke` and `WaitFor` look at the command that is called: see `OnlyReads`.
@@ -71,7 +72,7 @@ const METHODS: [(&str, Right); 45] = [
     ("/video.mjpeg", Right::Reads),
 ];
 
-/// What the method of this path does; `None`: nobody has said.
+/// Returns the kind of the method of this path; `None`: nobody has said.
 pub(super) fn right(path: &str) -> Option<Right> {
     METHODS.iter().find(|(method, _)| *method == path).map(|(_, right)| *right)
 }
@@ -88,7 +89,7 @@ pub(super) fn may(role: Role, right: Option<Right>, for_own: bool) -> bool {
     }
 }
 
-/// What a certificate has to say for a method.
+/// Returns what a certificate has to say for a method.
 pub(super) fn needed(right: Option<Right>) -> String {
     let all = Role::ALL.into_iter().filter(|role| may(*role, right, false));
     let all: Vec<&str> = all.map(Role::name).collect();

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
-use tokio::time::Interval;
+use tokio::time::{Interval, MissedTickBehavior};
 use tokio_rustls::client::TlsStream;
 use tokio_rustls::rustls::Error;
 use trocar_net::{Holder, Revoked, said};
@@ -34,13 +34,13 @@ struct Believed {
 }
 
 impl Told {
-    /// `revoked`: whoever is on that list is believed no more.
+    /// A port whose certificate is on the list `revoked` is believed no more.
     pub(super) fn new(stream: TlsStream<TcpStream>, why: Why, revoked: Option<Arc<Revoked>>) -> Told {
         let shown = stream.get_ref().1.peer_certificates().and_then(|all| Holder::of(all.first()?).ok());
-        let believed = revoked.zip(shown).map(|(revoked, holder)| Believed {
-            revoked,
-            serial: holder.serial,
-            look: tokio::time::interval(LOOK),
+        let believed = revoked.zip(shown).map(|(revoked, holder)| {
+            let mut look = tokio::time::interval(LOOK);
+            look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            Believed { revoked, serial: holder.serial, look }
         });
         Told { stream, why, believed }
     }

@@ -18,6 +18,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::task::AbortHandle;
+use tokio::time::MissedTickBehavior;
 use tokio_rustls::TlsAcceptor;
 use trocar_links::Seldom;
 use trocar_net::{Holder, Revoked, Role, Server, said};
@@ -45,11 +46,14 @@ pub(in crate::control) struct Secure {
     letting: AbortHandle,
 }
 
-/// What the tasks of a port share.
+/// The state that the tasks of a port share.
 struct Door {
     server: Server,
     acceptor: TlsAcceptor,
-    seats: Arc<Seats>,
+    /// Places of those who look, of those who operate, and of all others: none takes those of another.
+    viewers: Arc<Seats>,
+    operators: Arc<Seats>,
+    others: Arc<Seats>,
     beliefs: Beliefs,
     shaking: Arc<Semaphore>,
     from: Mutex<BTreeMap<IpAddr, usize>>,
@@ -120,7 +124,9 @@ impl Secure {
         let door = Arc::new(Door {
             acceptor: TlsAcceptor::from(server.config()),
             server,
-            seats: Arc::default(),
+            viewers: Arc::default(),
+            operators: Arc::default(),
+            others: Arc::default(),
             beliefs: Beliefs::default(),
             shaking: Arc::new(Semaphore::new(SHAKING)),
             from: Mutex::default(),
@@ -210,12 +216,14 @@ impl Door {
         if self.server.revoked().is_some_and(|list| list.has(&holder.serial)) {
             return Err("its certificate was revoked".into());
         }
-        let guest = match holder.role {
-            Role::Viewer | Role::Operator => Some(Guest::Holder(holder.name.clone())),
-            Role::Administrator | Role::Host | Role::Gcm => None,
+        let guest = || Some(Guest::Holder(holder.name.clone()));
+        let (seats, guest) = match holder.role {
+            Role::Viewer => (&self.viewers, guest()),
+            Role::Operator => (&self.operators, guest()),
+            Role::Administrator | Role::Host | Role::Gcm => (&self.others, None),
         };
         let most = if guest.is_some() { seats::OF_ONE } else { seats::OWN };
-        let Some(seat) = self.seats.take(guest) else {
+        let Some(seat) = seats.take(guest) else {
             return Err(format!("the {holder} has {most} connections here, which is the most: end some"));
         };
         let peer = Peer::of_holder(holder, addr);
@@ -226,6 +234,7 @@ impl Door {
 /// Looks after the list of revoked certificates, as long as there is anybody to cut off.
 async fn look(door: Weak<Door>) {
     let (mut look, mut edition) = (tokio::time::interval(LOOK), 0);
+    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         look.tick().await;
         let Some(door) = door.upgrade() else { return };

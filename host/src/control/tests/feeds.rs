@@ -1,4 +1,4 @@
-//! What may be large or much goes beside the stream of orders and heartbeats, and holds neither up.
+//! Large answers and many go beside the stream of orders and heartbeats, and holds neither up.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -13,6 +13,7 @@ use trocar_proto::v1;
 
 use super::super::{Begin, Dialler, Uplink};
 use super::{System, create, start, stop};
+use crate::control::attach::LEASE;
 use crate::gcm::Registration;
 use crate::gcm::fake::{FakeLcm, comes, name};
 
@@ -30,6 +31,8 @@ struct Detour {
     cut: watch::Sender<Option<u64>>,
     /// Bytes of connections from [`FEED`] on.
     beside: Arc<AtomicU64>,
+    /// Pieces that have passed on [`ATTACH`].
+    orders: watch::Sender<u64>,
 }
 
 impl Detour {
@@ -41,9 +44,10 @@ impl Detour {
             held: watch::Sender::new(None),
             cut: watch::Sender::new(None),
             beside: Arc::default(),
+            orders: watch::Sender::new(0),
         };
         let (opened, held, cut) = (detour.opened.clone(), detour.held.subscribe(), detour.cut.subscribe());
-        let beside = detour.beside.clone();
+        let (beside, orders) = (detour.beside.clone(), detour.orders.clone());
         tokio::spawn(async move {
             while let Ok((caller, _)) = listener.accept().await {
                 let port = TcpStream::connect(there).await.unwrap();
@@ -53,12 +57,16 @@ impl Detour {
                     number = *all;
                 });
                 let ((from, back), (answers, to)) = (caller.into_split(), port.into_split());
-                let counted = (number >= FEED).then(|| beside.clone());
+                let (beside, orders) = (beside.clone(), orders.clone());
+                let count = move |bytes: usize| match number {
+                    ATTACH => orders.send_modify(|pieces| *pieces += 1),
+                    _ => _ = beside.fetch_add(bytes as u64, Ordering::Relaxed),
+                };
                 let (held, mut cut) = (held.clone(), cut.clone());
                 tokio::spawn(async move {
                     tokio::select! {
-                        () = passes(from, to, held, number, counted) => {}
-                        () = passes(answers, back, watch::channel(None).1, number, None) => {}
+                        () = passes(from, to, held, number, count) => {}
+                        () = passes(answers, back, watch::channel(None).1, number, |_| ()) => {}
                         _ = cut.wait_for(|cut| *cut == Some(number)) => {}
                     }
                 });
@@ -73,14 +81,14 @@ async fn passes(
     mut to: OwnedWriteHalf,
     mut held: watch::Receiver<Option<u64>>,
     number: u64,
-    counted: Option<Arc<AtomicU64>>,
+    count: impl Fn(usize),
 ) {
     let mut room = vec![0; 1 << 16];
     loop {
         // A sender that is gone holds nothing up.
         let _ = held.wait_for(|held| *held != Some(number)).await;
         let Ok(read @ 1..) = from.read(&mut room).await else { return };
-        counted.iter().for_each(|all| _ = all.fetch_add(read as u64, Ordering::Relaxed));
+        count(read);
         if to.write_all(&room[..read]).await.is_err() {
             return;
         }
@@ -127,10 +135,12 @@ async fn pictures_that_are_held_up_hold_up_no_order_and_no_heartbeat() {
         gcm.start(start("gui/a")).await.unwrap();
         gcm.stop(stop("gui/a")).await.unwrap();
     }
-    // Its beats come through: more of them are missed meanwhile than end a session.
+    // Its beats come through: more of them than a session could miss.
     let session = s.gcm.graph().processes[&name("gui")].epoch;
-    for _ in 0..8 {
-        comes("the next beat", tokio::time::sleep(crate::control::attach::BEAT)).await;
+    let mut orders = detour.orders.subscribe();
+    for _ in 0..2 * LEASE {
+        orders.mark_unchanged();
+        comes("the next beat", orders.changed()).await.unwrap();
         let process = &s.gcm.graph().processes[&name("gui")];
         assert_eq!((process.state, process.epoch), (ProcessState::Attached, session));
     }

@@ -21,7 +21,7 @@ use crate::lcm::{Invoke, Lcm};
 /// Longest time an order may take.
 pub(super) const MOST: Duration = Duration::from_secs(60);
 
-/// What is asked over one stream.
+/// The questions of one stream.
 pub(super) struct Questions {
     lcm: Arc<dyn Lcm>,
     answers: mpsc::Sender<v1::Answer>,
@@ -36,7 +36,7 @@ impl Questions {
 
     /// Begins to answer; the answers follow.
     pub(super) async fn answer(&mut self, id: u64, question: Option<O>, deadline: Instant) {
-        // What ended by itself is forgotten.
+        // Feeds that ended by themselves are forgotten.
         while self.running.try_join_next().is_some() {}
         self.followed.retain(|_, feed| !feed.is_finished());
         let (lcm, answers) = (self.lcm.clone(), self.answers.clone());

@@ -22,7 +22,7 @@ use super::way::{Inbound, Line, Refused};
 use crate::control::attach::{BEAT, LEASE};
 use crate::control::convert;
 use crate::gcm::Registration;
-use crate::lcm::{Lcm, Lease, News};
+use crate::lcm::{Inventory, Lcm, Lease, News};
 
 /// Messages that may wait to be sent.
 pub(super) const QUEUE: usize = 256;
@@ -59,18 +59,7 @@ impl Session {
         let news = lcm.news();
         let inventory = lcm.inventory().await.map_err(|refusal| Refused::Unheard(refusal.to_string()))?;
         let feeder = line.feeder();
-        let instance = who.instance.to_be_bytes().to_vec();
-        let hello = v1::Hello {
-            process: who.process.to_string(),
-            instance: instance.clone(),
-            endpoint: who.endpoint.clone(),
-            pid: who.pid,
-            inventory: Some(convert::inventory_out(&inventory)),
-            slice: Some(convert::slice_out(&who.slice)),
-            epoch: who.epoch,
-            revision: who.revision,
-            feeds: feeder.is_some(),
-        };
+        let hello = hello(&who, &inventory, feeder.is_some());
         let (out, outgoing) = mpsc::channel(QUEUE);
         let unheard = |why: &str| Refused::Unheard(why.to_owned());
         let first = message(attach_request::Message::Hello(hello));
@@ -97,7 +86,8 @@ impl Session {
         let (answer, answers) = mpsc::channel(QUEUE);
         let mut tasks = JoinSet::new();
         if let Some(feeder) = feeder {
-            let hello = v1::FeedHello { process: who.process.to_string(), instance, epoch };
+            let (process, instance) = (who.process.to_string(), who.instance.to_be_bytes().to_vec());
+            let hello = v1::FeedHello { process, instance, epoch };
             tasks.spawn(feed(feeder, hello, lcm.clone()));
         }
         tasks.spawn(pump(lcm.clone(), news, answers, out.clone()));
@@ -175,6 +165,20 @@ impl Session {
 
 fn message(message: attach_request::Message) -> v1::AttachRequest {
     v1::AttachRequest { message: Some(message) }
+}
+
+fn hello(who: &Registration, inventory: &Inventory, feeds: bool) -> v1::Hello {
+    v1::Hello {
+        process: who.process.to_string(),
+        instance: who.instance.to_be_bytes().to_vec(),
+        endpoint: who.endpoint.clone(),
+        pid: who.pid,
+        inventory: Some(convert::inventory_out(inventory)),
+        slice: Some(convert::slice_out(&who.slice)),
+        epoch: who.epoch,
+        revision: who.revision,
+        feeds,
+    }
 }
 
 /// Sends news and answers until the receiver is gone.

@@ -55,9 +55,11 @@ def shown(identity: Any) -> Any:
         raise invalid(f"a certificate is asked for there: {remedy}", field="identity")
     try:
         with open(identity, "rb") as file:
-            whole = file.read()
+            mode, whole = os.fstat(file.fileno()).st_mode, file.read()
     except OSError as e:
         raise invalid(f"{identity} cannot be read ({e.strerror}): {remedy}", field="identity") from e
+    if mode & 0o077:
+        raise invalid(f"{identity} holds a key, and others may read or change it: `chmod 600 {identity}`", field="identity")
     blocks = re.findall(rb"-----BEGIN ([A-Z ]+)-----.*?-----END \1-----\s*", whole, re.S)
     certificates = re.findall(rb"-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----\s*", whole, re.S)
     if b"PRIVATE KEY" not in blocks or len(certificates) < 2:
