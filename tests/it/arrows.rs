@@ -19,7 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-sdk", &["trocar-sdk-derive", "trocar-plugin-api"]),
     ("trocar-rt", &["trocar-plugin-api"]),
     ("trocar-links", &["trocar-rt"]),
-    ("trocar-net", &[]),
+    ("trocar-net", &["trocar-rt"]),
     ("trocar-loader", &["trocar-model", "trocar-rt", "trocar-plugin-api"]),
     ("trocar-lcm-api", &["trocar-model", "trocar-links"]),
     (
@@ -29,6 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "trocar-loader",
             "trocar-model",
             "trocar-links",
+            "trocar-net",
             "trocar-rt",
             "trocar-plugin-api",
         ],
@@ -64,7 +65,15 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("trocar-oct-core", &["trocar-fft"]),
     (
         "trocar-tests",
-        &["trocar", "trocar-links", "trocar-rt", "trocar-sdk", "trocar-proto", "trocar-conform-classes"],
+        &[
+            "trocar",
+            "trocar-links",
+            "trocar-net",
+            "trocar-rt",
+            "trocar-sdk",
+            "trocar-proto",
+            "trocar-conform-classes",
+        ],
     ),
     ("trocar-simulation", &["trocar", "trocar-lcm-api", "trocar-links", "trocar-model", "trocar-proto"]),
     ("trocar-torture", &["trocar-proto"]),

@@ -269,6 +269,102 @@ fn a_manager_whose_certificate_is_taken_back_is_left_by_its_hosts() {
     });
 }
 
+/// A server in one process and its client in another, connected as between machines.
+fn connected(lab: &Lab) -> (HostProcess, HostProcess) {
+    let hosts = (lab.host("cart", "cart"), lab.host("cart-2", "cart"));
+    let chief = lab.grpc("chief");
+    for (process, class) in [("cart", "Server"), ("cart-2", "Client")] {
+        chief.await_class(process, class);
+    }
+    chief.create("cart/server", "Server", json!({}));
+    chief.create("cart-2/client", "Client", json!({}));
+    chief.ok(
+        "GcmService/Connect",
+        json!({ "client": "cart-2/client/Required", "server": "cart/server/Provided", "options": { "carrier": "net" } }),
+    );
+    chief.start("cart/server");
+    chief.start("cart-2/client");
+    hosts
+}
+
+/// Commands and events that have passed the only connection, once there are more than so many.
+fn passed(lab: &Lab, before: u64) -> u64 {
+    let number = |of: &Value| of.as_str().and_then(|text| text.parse().ok()).unwrap_or(0);
+    let mut now = 0;
+    eventually("the connection carries", || {
+        let list = lab.grpc("vera").ok("GcmService/List", json!({}));
+        let connection = list["connections"][0].clone();
+        now = number(&connection["passed"]);
+        let is_net = connection["carrier"] == "net" && number(&connection["roundTripNs"]) > 0;
+        if now > before && is_net { Ok(()) } else { Err(connection) }
+    });
+    now
+}
+
+#[test]
+fn components_are_connected_over_an_encrypted_line_and_again_when_a_process_died() {
+    let lab = Lab::new();
+    let (mut server, _client) = connected(&lab);
+    let before = passed(&lab, 0);
+    server.kill();
+    eventually("the process is lost", || lab.is("cart", "PROCESS_STATE_LOST"));
+    let _again = lab.host("cart", "cart");
+    eventually("the server is there again", || {
+        let state = lab.grpc("vera").state("cart/server");
+        if state == "ACTIVE" { Ok(()) } else { Err(state) }
+    });
+    passed(&lab, before);
+}
+
+#[test]
+fn a_host_whose_certificate_is_taken_back_is_connected_with_no_more() {
+    let lab = Lab::new();
+    let trocar = Trocar::new(&lab.world);
+    let list = trocar.run(&["ca", "revoked"]).ends_with(0).stdout.trim().to_owned();
+    trocar.run(&["ca", "issue", "left", "--role", "host", "--process", "left"]).ends_with(0);
+    let gcm = format!("https://{}", lab.address());
+    let start = |name: &str, identity: &str| {
+        let identity = lab.identity(identity).display().to_string();
+        let args = ["--gcm", &gcm, "--identity", &identity, "--revoked", &list];
+        HostProcess::start_with(&lab.world, name, &args)
+    };
+    let (_cart, left) = (start("cart", "cart"), start("left", "left"));
+    let chief = lab.grpc("chief");
+    for (process, class) in [("cart", "Server"), ("left", "Client")] {
+        chief.await_class(process, class);
+    }
+    chief.create("cart/server", "Server", json!({}));
+    chief.create("left/client", "Client", json!({}));
+    let connect = json!({
+        "client": "left/client/Required", "server": "cart/server/Provided", "options": { "carrier": "net" }
+    });
+    chief.ok("GcmService/Connect", connect);
+    trocar.run(&["ca", "revoke", "cart"]).ends_with(0);
+    eventually("the line has ended", || {
+        let printed = left.printed();
+        if printed.contains("its certificate was revoked") { Ok(()) } else { Err(printed) }
+    });
+}
+
+#[test]
+fn a_process_without_an_identity_is_connected_with_no_other_machine() {
+    let lab = Lab::new();
+    let cart = lab.host("cart", "cart");
+    let here = HostProcess::start_with(&lab.world, "here", &["--gcm", lab.gcm.address()]);
+    let chief = lab.grpc("chief");
+    for (process, class) in [("cart", "Server"), ("here", "Client")] {
+        chief.await_class(process, class);
+    }
+    chief.create("cart/server", "Server", json!({}));
+    chief.create("here/client", "Client", json!({}));
+    let connect = json!({
+        "client": "here/client/Required", "server": "cart/server/Provided", "options": { "carrier": "net" }
+    });
+    let refusal = chief.refused("GcmService/Connect", connect);
+    assert!(refusal.reason == "UNREACHABLE" && refusal.message.contains("identity"), "{refusal:?}");
+    drop((cart, here));
+}
+
 #[test]
 fn no_file_keeps_a_stop_from_this_machine() {
     let lab = Lab::new();

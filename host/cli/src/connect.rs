@@ -47,8 +47,8 @@ pub(super) struct ConnectArgs {
     /// Take the place of the client's present connection.
     #[arg(long)]
     pub(super) replace: bool,
-    /// Pin how data travel: inline, heap (within a process) or memfd (between two, or within one); unset: the
-    /// best there is.
+    /// Pin how data travel: inline or heap (within a process), memfd (of one machine) or net (between two
+    /// processes of any machines); unset: the best there is.
     #[arg(long, value_name = "NAME")]
     pub(super) carrier: Option<String>,
     #[command(flatten)]

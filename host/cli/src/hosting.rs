@@ -64,6 +64,10 @@ pub(super) struct HostArgs {
     port: PortArgs,
     #[command(flatten)]
     machines: MachineArgs,
+    /// Address at which components of other machines connect to those here [default: a free port where a
+    /// GCM of another machine is reached, or beside --listen-tls].
+    #[arg(long, value_name = "ADDR")]
+    listen_lines: Option<String>,
     #[command(flatten)]
     tie: Tie,
 }
@@ -84,7 +88,7 @@ pub(super) struct MachineArgs {
 impl MachineArgs {
     pub(super) fn machines(self) -> Machines {
         let MachineArgs { listen_tls: listen, revoked } = self;
-        Machines { identity: session::identity(), listen, revoked }
+        Machines { identity: session::identity(), listen, lines: None, revoked }
     }
 }
 
@@ -170,7 +174,7 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
         plugins: plugin_dirs(args.plugins),
         listen: Some(args.listen),
         rules: args.port.rules(),
-        machines: args.machines.machines(),
+        machines: Machines { lines: args.listen_lines, ..args.machines.machines() },
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),

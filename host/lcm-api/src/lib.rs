@@ -352,7 +352,7 @@ pub struct Detail {
 #[derive(Clone, Debug, Default)]
 pub struct LinkDetail {
     pub connection: u64,
-    /// "inline", "heap", "memfd".
+    /// "inline", "heap", "memfd", "net".
     pub carrier: String,
     /// Wake of each end when data or calls arrive: "signal" or "poll"; empty where no thread is woken.
     pub client_wake: &'static str,
@@ -375,6 +375,15 @@ pub struct LinkDetail {
     /// Remove.
     pub unexecuted: u64,
     pub bytes: u64,
+    /// Between machines: samples, answers, events and rows that the server's end sent, or has to send,
+    /// and those that came to the client's end; the others are on their way.
+    pub sent: u64,
+    pub came: u64,
+    /// Between machines: the quickest way there and back of late; 0: none is known.
+    pub round_trip_ns: u64,
+    /// Between machines: the server's clock less the client's, and the most by which that is wrong.
+    pub clock_offset_ns: i64,
+    pub clock_bound_ns: u64,
     /// Age of a sample when the client took it.
     pub latency_p50_ns: u64,
     pub latency_p99_ns: u64,
@@ -397,6 +406,15 @@ impl LinkDetail {
             failed: self.failed + later.failed,
             unexecuted: self.unexecuted + later.unexecuted,
             bytes: self.bytes + later.bytes,
+            sent: self.sent + later.sent,
+            came: self.came + later.came,
+            round_trip_ns: newest(self.round_trip_ns, later.round_trip_ns),
+            clock_offset_ns: if later.round_trip_ns == 0 {
+                self.clock_offset_ns
+            } else {
+                later.clock_offset_ns
+            },
+            clock_bound_ns: newest(self.clock_bound_ns, later.clock_bound_ns),
             latency_p50_ns: newest(self.latency_p50_ns, later.latency_p50_ns),
             latency_p99_ns: newest(self.latency_p99_ns, later.latency_p99_ns),
             ..self
@@ -411,15 +429,24 @@ impl LinkDetail {
         // Each half has read both figures at one time: take both from the later one, so that they belong
         // together.
         let (bytes, passed) = (self.bytes, self.passed).max((other.bytes, other.passed));
+        // Between machines each half has a queue of its own.
+        let apart = [&self.carrier, &other.carrier].iter().any(|carrier| *carrier == "net");
+        let both = |a: u64, b: u64| if apart { a + b } else { a.max(b) };
         LinkDetail {
             connection: self.connection,
             carrier: if self.carrier.is_empty() { other.carrier } else { self.carrier },
             client_wake: if self.client_wake.is_empty() { other.client_wake } else { self.client_wake },
             server_wake: if self.server_wake.is_empty() { other.server_wake } else { self.server_wake },
             passed,
-            dropped: self.dropped.max(other.dropped),
-            skipped: self.skipped.max(other.skipped),
-            rejected: self.rejected.max(other.rejected),
+            dropped: both(self.dropped, other.dropped),
+            skipped: both(self.skipped, other.skipped),
+            rejected: both(self.rejected, other.rejected),
+            sent: self.sent.max(other.sent),
+            came: self.came.max(other.came),
+            round_trip_ns: self.round_trip_ns.max(other.round_trip_ns),
+            // The client's end alone tells of clocks.
+            clock_offset_ns: self.clock_offset_ns + other.clock_offset_ns,
+            clock_bound_ns: self.clock_bound_ns.max(other.clock_bound_ns),
             depth: self.depth.max(other.depth),
             high_water: self.high_water.max(other.high_water),
             failed: self.failed.max(other.failed),

@@ -57,6 +57,7 @@ pub use boundary::{LoadedClass, plugin_log};
 pub use classes::Classes;
 pub use concern::Concern;
 pub use local::{LcmConfig, LocalLcm};
+pub use remote::Afar;
 pub use request_queue::SERVICE_VERBS;
 pub use services::{ReplyTo, Services};
 pub use static_classes::{LINKED_IN, StaticClasses};

@@ -46,6 +46,7 @@ use super::loss::Loss;
 use super::order::Place;
 use super::outside::{self, Outside, Shows};
 use super::realtime::Memory;
+use super::remote::Afar;
 use super::services::Services;
 use super::store::governed;
 use super::supervise::{Manners, Roster, Watchdog};
@@ -64,6 +65,8 @@ pub struct LcmConfig {
     /// Socket on which it listens for other processes of its machine; `None`: its components connect to none
     /// of them.
     pub links: Option<PathBuf>,
+    /// How processes of other machines reach it; `None`: its components connect to none of them.
+    pub afar: Option<Afar>,
     /// Lock the memory of the process, where the machine allows it, else the stacks of components' threads.
     pub lock_memory: bool,
     /// Components may start programs.
@@ -147,7 +150,8 @@ impl LocalLcm {
         let news = hub.news.clone();
         // A failure is fine without listeners: the inventory has the half.
         let tell = move |half| _ = news.send(News::Half(half));
-        let carriers = Carriers::start(hub.process.as_str(), config.links, tell, hub.ports.clone())?;
+        let ways = (config.links, config.afar);
+        let carriers = Carriers::start(hub.process.as_str(), ways, tell, hub.ports.clone())?;
         let lcm = Arc::new(LocalLcm {
             carriers,
             classes: config.classes,

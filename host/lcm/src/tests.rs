@@ -63,6 +63,7 @@ impl World {
             process: process_name,
             classes: Some(classes),
             links,
+            afar: None,
             lock_memory: false,
             allow_exec: false,
         };

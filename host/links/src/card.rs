@@ -11,6 +11,8 @@ pub const LAYOUT: u32 = 4;
 
 /// Bytes of a name on a card.
 const MOST_NAME: usize = 128;
+/// Bytes of an address on a card.
+const MOST_NET: usize = 300;
 /// Bytes of a path on a card.
 const MOST_PATH: usize = 4096;
 
@@ -25,6 +27,9 @@ pub struct Card {
     pub uid: u32,
     /// Socket the process listens at.
     pub socket: PathBuf,
+    /// `HOST:PORT` at which processes of other machines reach it; empty: they do not.
+    #[serde(default)]
+    pub net: String,
     /// Its [`LAYOUT`].
     pub layout: u32,
 }
@@ -75,6 +80,7 @@ impl Card {
             boot: std::fs::read_to_string("/proc/sys/kernel/random/boot_id")?.trim().into(),
             uid: rustix::process::geteuid().as_raw(),
             socket,
+            net: String::new(),
             layout: LAYOUT,
         })
     }
@@ -95,6 +101,9 @@ impl Card {
         }
         if self.socket.as_os_str().len() > MOST_PATH {
             return Err(format!("its card names a socket by more than {MOST_PATH} bytes"));
+        }
+        if self.net.len() > MOST_NET || self.net.contains(char::is_control) {
+            return Err("its card names an address that is none".into());
         }
         Ok(())
     }

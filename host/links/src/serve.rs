@@ -80,7 +80,7 @@ struct Want {
 
 /// One socket.
 enum End {
-    Greeting { socket: OwnedFd, pid: i32, until_ns: u64, stage: Stage },
+    Greeting { socket: OwnedFd, pid: i32, until_ns: u64, stage: Box<Stage> },
     Live { session: Arc<Session>, heart: Heart, watched: bool },
 }
 
@@ -266,7 +266,12 @@ impl<H: Handler> Server<H> {
                         want.busy = true;
                     }
                     let until_ns = now + GREETING_NS;
-                    self.ends.push(End::Greeting { socket, pid, until_ns, stage: Stage::Calling { at } });
+                    self.ends.push(End::Greeting {
+                        socket,
+                        pid,
+                        until_ns,
+                        stage: Box::new(Stage::Calling { at }),
+                    });
                 }
                 Err(e) => {
                     let why = format!("nobody answers at {}: {e}", at.display());
@@ -347,7 +352,12 @@ impl<H: Handler> Server<H> {
             // refused.
             self.ends.swap_remove(at);
         }
-        self.ends.push(End::Greeting { socket, pid, until_ns: now + GREETING_NS, stage: Stage::Knocking });
+        self.ends.push(End::Greeting {
+            socket,
+            pid,
+            until_ns: now + GREETING_NS,
+            stage: Box::new(Stage::Knocking),
+        });
     }
 
     fn turn_away(&mut self, pid: i32, why: &str, now: u64) {
@@ -408,7 +418,7 @@ impl<H: Handler> Server<H> {
     fn greet(&mut self, at: usize, said: Greeting, files: Vec<OwnedFd>, now: u64) -> bool {
         let End::Greeting { socket, pid, until_ns, stage } = self.ends.swap_remove(at) else { return false };
         let dialled = stage.at().cloned();
-        let next = match (&stage, self.guests_of(pid)) {
+        let next = match (&*stage, self.guests_of(pid)) {
             (Stage::Knocking, (all, of_one)) if all >= MOST_GUESTS || of_one >= MOST_OF_ONE => {
                 let why =
                     format!("it has {of_one} sessions with this process already, others {}", all - of_one);
@@ -417,10 +427,13 @@ impl<H: Handler> Server<H> {
             (Stage::Knocking, _) if self.spare.is_none() => {
                 Err(Refusal::told(format!("it has no room for a session: {}", Errno::MFILE)))
             }
-            _ => step(&self.card, &socket, stage, said, files),
+            _ => step(&self.card, &socket, *stage, said, files),
         };
         match next {
-            Ok(Step::On(stage)) => self.ends.push(End::Greeting { socket, pid, until_ns, stage }),
+            Ok(Step::On(stage)) => {
+                let stage = Box::new(stage);
+                self.ends.push(End::Greeting { socket, pid, until_ns, stage });
+            }
             Ok(Step::Met(card, pulse)) => self.meet(socket, pid, card, pulse, dialled, now),
             Err(Refusal { why, by }) => {
                 if by == By::Us {

@@ -24,7 +24,7 @@ pub struct ConnectOptions {
     pub delay: bool,
     /// Take the place of an existing connection of the client end.
     pub replace: bool,
-    /// Pins the carrier ("inline", "heap", "memfd"); empty = the best there is.
+    /// Pins the carrier ("inline", "heap", "memfd", "net"); empty = the best there is.
     pub carrier: String,
 }
 

@@ -15,7 +15,7 @@ pub struct Proxy {
     pub epoch: u64,
     /// Why they are not linked; empty when they are.
     pub why: String,
-    /// Carrier of the data, "memfd".
+    /// Carrier of the data, "memfd" or "net".
     pub carrier: String,
     /// Instance of the other process for which it was made, as its card says; empty where nobody told.
     pub peer: String,

@@ -132,11 +132,14 @@ impl Authority {
     pub fn init(dir: &Path) -> Result<Authority, AuthorityError> {
         let said = broken(dir);
         DirBuilder::new().recursive(true).mode(0o700).create(dir).map_err(|e| said(&e))?;
+        // Written last: without it there is none yet. Whoever waits for a lock here may find one afterwards.
+        let is_there = || match dir.join(ISSUED).exists() {
+            true => Err(AuthorityError::Exists { dir: dir.to_owned() }),
+            false => Ok(()),
+        };
+        is_there()?;
         let lock = lock(dir)?;
-        // Written last: without it there is none yet.
-        if dir.join(ISSUED).exists() {
-            return Err(AuthorityError::Exists { dir: dir.to_owned() });
-        }
+        is_there()?;
         let key = KeyPair::generate().map_err(|e| said(&e))?;
         let name = format!("trocar authority {}", hex(&number()?.to_bytes()[..4]));
         let mut params = own(&name);

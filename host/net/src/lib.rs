@@ -11,6 +11,7 @@ mod authority;
 mod files;
 mod holder;
 mod identity;
+pub mod line;
 mod revoked;
 mod role;
 #[cfg(test)]

@@ -186,6 +186,8 @@ pub struct Client {
 }
 
 impl Client {
+    /// One that calls managers.
+    ///
     /// # Errors
     /// The library does not take the identity.
     pub fn new(
@@ -193,8 +195,29 @@ impl Client {
         revoked: Option<Arc<Revoked>>,
         protocols: &[&str],
     ) -> Result<Client, String> {
+        Self::calling(&[Role::Gcm], identity, revoked, protocols)
+    }
+
+    /// One that calls processes with components, whichever of them holds a manager as well.
+    ///
+    /// # Errors
+    /// The library does not take the identity.
+    pub fn of_processes(
+        identity: Arc<Identity>,
+        revoked: Option<Arc<Revoked>>,
+        protocols: &[&str],
+    ) -> Result<Client, String> {
+        Self::calling(&[Role::Host, Role::Gcm], identity, revoked, protocols)
+    }
+
+    fn calling(
+        roles: &'static [Role],
+        identity: Arc<Identity>,
+        revoked: Option<Arc<Revoked>>,
+        protocols: &[&str],
+    ) -> Result<Client, String> {
         is_of_ours(&identity, revoked.as_deref())?;
-        let trust = Arc::new(TrustsCalled { identity: identity.clone(), revoked });
+        let trust = Arc::new(TrustsCalled { roles, identity: identity.clone(), revoked });
         let mut config = ClientConfig::builder_with_provider(provider())
             .with_protocol_versions(&[&rustls::version::TLS13])
             .map_err(|e| e.to_string())?
@@ -213,9 +236,10 @@ impl Client {
     }
 }
 
-/// Believes a manager: nobody else is called.
+/// Believes those that are called, by their roles, and nobody else.
 #[derive(Debug)]
 struct TrustsCalled {
+    roles: &'static [Role],
     identity: Arc<Identity>,
     revoked: Option<Arc<Revoked>>,
 }
@@ -236,8 +260,12 @@ impl ServerCertVerifier for TrustsCalled {
         if self.revoked.as_ref().is_some_and(|list| list.has(&holder.serial)) {
             return Err(Error::InvalidCertificate(CertificateError::Revoked));
         }
-        if holder.role != Role::Gcm {
-            return Err(other(format!("its certificate is of the {holder}, and a gcm is expected there")));
+        if !self.roles.contains(&holder.role) {
+            let roles: Vec<&str> = self.roles.iter().map(|role| role.name()).collect();
+            let expected = roles.join(" or ");
+            return Err(other(format!(
+                "its certificate is of the {holder}, and a {expected} is expected there"
+            )));
         }
         Ok(ServerCertVerified::assertion())
     }

@@ -279,12 +279,26 @@ impl Mailbox {
     /// entries that a newer one superseded go to `skip`. Returns how many were run. The payload is 16-byte
     /// aligned and valid during the call; the slot is already free then. Server's thread only: while a drain
     /// runs, a second one (from inside `run`, or another thread) does nothing and returns 0.
-    pub fn drain(&self, mut run: impl FnMut(EntryHead, &[u8]), mut skip: impl FnMut(EntryHead)) -> usize {
+    #[inline]
+    pub fn drain(&self, run: impl FnMut(EntryHead, &[u8]), skip: impl FnMut(EntryHead)) -> usize {
+        self.drain_some(usize::MAX, run, skip)
+    }
+
+    /// As [`Mailbox::drain`], for `most` entries at most; the others stay queued.
+    pub fn drain_some(
+        &self,
+        most: usize,
+        mut run: impl FnMut(EntryHead, &[u8]),
+        mut skip: impl FnMut(EntryHead),
+    ) -> usize {
         let Some(mut mine) = self.handled.try_enter() else { return 0 };
         let mut handled = 0;
         for _ in 0..2 {
             let end = self.ours.0.tail.load(Ordering::Acquire) & !CLOSED;
             for _ in 0..self.slots.len() {
+                if handled == most {
+                    return handled;
+                }
                 let at = match self.claim_oldest(end) {
                     Claim::Mine(at) => at,
                     Claim::InWork => return handled,

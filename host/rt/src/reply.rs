@@ -4,12 +4,14 @@
 //! One word per cell holds generation, phase and whether the caller sleeps; every step is a compare-and-swap
 //! on it, so a cell is answered once, freed once, and a token of an earlier use fits nothing any more.
 
-use std::sync::Arc;
+use std::ops::Deref;
+use std::sync::{Arc, OnceLock};
 
 use crate::buf::round_up;
 use crate::os::{WaitResult, now_ns};
 use crate::region::{AnyBits, Bytes, Layout, Plain, Table};
 use crate::sync::{AtomicU32, AtomicU64, Futex, Ordering, Scope, Shared, pause_while};
+use crate::wake::Waker;
 
 /// Result of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +83,8 @@ pub struct ReplyPool {
     impatient: AtomicU32,
     /// Status of the calls that were [`LOST`] here, with [`ENDED`]; 0: none was.
     ended: AtomicU64,
+    /// Rung at each answer, by the process that answers: for a caller that plays another machine's.
+    bell: OnceLock<Arc<Waker>>,
 }
 
 /// Flag beside a status: there is one.
@@ -112,7 +116,14 @@ impl ReplyPool {
             next: AtomicU32::new(0),
             impatient: AtomicU32::new(0),
             ended: AtomicU64::new(0),
+            bell: OnceLock::new(),
         })
+    }
+
+    /// Rings this bell at each answer given through this handle on the pool, from now on.
+    pub fn ringing(&self, bell: Arc<Waker>) {
+        // The first bell stays.
+        let _ = self.bell.set(bell);
     }
 
     /// A cell for one call, or `None` when all are in use. Any thread; at most one look at each cell.
@@ -168,26 +179,17 @@ impl ReplyPool {
     /// Begins the call of this token, for the server. `None`: the caller has given up, or the token is 0 or
     /// of an earlier use; then the entry is not to be executed for its sake. Should the answer never come
     /// (the [`Running`] is dropped, by a panic or a removal), the caller gets `status_if_dropped`.
-    pub fn begin(&self, token: u64, status_if_dropped: i32) -> Option<Running<'_>> {
-        let index = (token as u32).checked_sub(1)? as usize;
-        let cell = self.cells.get(index)?;
-        let waiting = (token >> 32) as u32;
-        if waiting & (PHASE | ASLEEP) != WAITING {
-            return None;
-        }
-        let running = with_phase(waiting, RUNNING);
-        for asleep in [0, ASLEEP] {
-            let (from, to) = (waiting | asleep, running | asleep);
-            if cell.state.word.compare_exchange(from, to, Ordering::Acquire, Ordering::Relaxed).is_ok() {
-                return Some(Running {
-                    pool: self,
-                    index,
-                    generation: waiting >> GENERATION,
-                    status: status_if_dropped,
-                });
-            }
-        }
-        None
+    pub fn begin(&self, token: u64, status_if_dropped: i32) -> Option<Running<&ReplyPool>> {
+        begin(self, token, status_if_dropped)
+    }
+
+    /// As [`ReplyPool::begin`], for an answer that is given later and from another place.
+    pub fn begin_kept(
+        self: &Arc<Self>,
+        token: u64,
+        status_if_dropped: i32,
+    ) -> Option<Running<Arc<ReplyPool>>> {
+        begin(Arc::clone(self), token, status_if_dropped)
     }
 
     /// Answers the call of this token unexecuted; returns whether a caller was still waiting for it.
@@ -205,6 +207,21 @@ impl ReplyPool {
     }
 }
 
+fn begin<P: Deref<Target = ReplyPool>>(pool: P, token: u64, status: i32) -> Option<Running<P>> {
+    let index = (token as u32).checked_sub(1)? as usize;
+    let waiting = (token >> 32) as u32;
+    if waiting & (PHASE | ASLEEP) != WAITING {
+        return None;
+    }
+    let (running, generation) = (with_phase(waiting, RUNNING), waiting >> GENERATION);
+    let word = &pool.cells.get(index)?.state.word;
+    let began = [0, ASLEEP].into_iter().any(|asleep| {
+        let (from, to) = (waiting | asleep, running | asleep);
+        word.compare_exchange(from, to, Ordering::Acquire, Ordering::Relaxed).is_ok()
+    });
+    began.then(|| Running { pool, index, generation, status, text_len: 0 })
+}
+
 /// The caller's right to one cell. Dropping it gives the call up.
 #[must_use = "a ticket that is not waited for is given up"]
 pub struct Ticket {
@@ -218,6 +235,18 @@ impl Ticket {
     /// Returns the token the server needs to answer; never 0.
     pub fn token(&self) -> u64 {
         u64::from(self.word) << 32 | (self.index as u64 + 1)
+    }
+
+    /// The answer, if it is there: as [`Ticket::wait`], without waiting.
+    ///
+    /// # Errors
+    /// It is not there yet: the ticket.
+    pub fn take(self, take: impl FnOnce(&[u8], &[u8])) -> Result<Reply, Ticket> {
+        match self.pool.cells[self.index].state.word.load(Ordering::Acquire) & PHASE {
+            DONE => Ok(self.done(take)),
+            LOST => Ok(self.lost()),
+            _ => Err(self),
+        }
     }
 
     /// Waits a little for an answer that comes at once, as it does while its server has a processor of its
@@ -268,6 +297,12 @@ impl Ticket {
                 }
             }
         }
+        self.done(take)
+    }
+
+    /// Hands out an answer that was seen, with Acquire, to be there.
+    fn done(&self, take: impl FnOnce(&[u8], &[u8])) -> Reply {
+        let cell = &self.pool.cells[self.index];
         // SAFETY: DONE, seen with Acquire: the server has left the cell and this ticket owns the content.
         let Answer { status, text_len } = unsafe { cell.answer.fetch() };
         let text_len = (text_len as usize).min(self.pool.text_bytes);
@@ -328,14 +363,16 @@ impl Drop for Ticket {
 
 /// The server's right, and duty, to answer one call.
 #[must_use = "dropping it answers the caller with the status for lost servers"]
-pub struct Running<'a> {
-    pool: &'a ReplyPool,
+pub struct Running<P: Deref<Target = ReplyPool>> {
+    pool: P,
     index: usize,
     generation: u32,
     status: i32,
+    /// Bytes of text with the answer.
+    text_len: u32,
 }
 
-impl Running<'_> {
+impl<P: Deref<Target = ReplyPool>> Running<P> {
     /// Answers: `fill` writes the result and the text into the cell and says how long the text is. Never
     /// waits; one system call when the caller sleeps.
     pub fn finish(mut self, status: i32, fill: impl FnOnce(&mut [u8], &mut [u8]) -> usize) {
@@ -349,14 +386,13 @@ impl Running<'_> {
         };
         let text_len = fill(ret, text).min(self.pool.text_bytes);
         self.status = status;
-        self.answer(text_len as u32);
-        let _answered = std::mem::ManuallyDrop::new(self);
+        self.text_len = text_len as u32;
     }
 
-    fn answer(&self, text_len: u32) {
+    fn answer(&self) {
         let cell = &self.pool.cells[self.index];
         // SAFETY: RUNNING or ABANDONED: the caller keeps away from the answer until DONE.
-        unsafe { *cell.answer.exclusive() = Answer { status: self.status, text_len } };
+        unsafe { *cell.answer.exclusive() = Answer { status: self.status, text_len: self.text_len } };
         let word = &cell.state.word;
         let mut now = word.load(Ordering::Acquire);
         // Falling asleep and giving up can each come between once; more attempts mean another process that
@@ -376,11 +412,14 @@ impl Running<'_> {
         if now & ASLEEP != 0 && now & PHASE == RUNNING {
             cell.state.wake(1, self.pool.scope);
         }
+        if let Some(bell) = self.pool.bell.get() {
+            bell.notify();
+        }
     }
 }
 
-impl Drop for Running<'_> {
+impl<P: Deref<Target = ReplyPool>> Drop for Running<P> {
     fn drop(&mut self) {
-        self.answer(0);
+        self.answer();
     }
 }

@@ -560,6 +560,7 @@ impl Lcm for FakeLcm {
                 boot: "1".into(),
                 uid: 0,
                 socket: "nowhere".into(),
+                net: String::new(),
                 layout: LAYOUT,
             }),
             components: states.iter().map(|(id, s)| report(id, *s)).collect(),

@@ -8,7 +8,7 @@ use trocar_loader::Trust;
 use trocar_model::{Name, Refusal};
 use trocar_plugin_api::abi::StaticPlugin;
 
-use super::{Host, HostConfig, HostError, MemoryBounds, StateChoice};
+use super::{Host, HostConfig, HostError, Machines, MemoryBounds, StateChoice};
 use crate::control::Viewer;
 
 /// Fills in a [`HostConfig`] step by step; made by [`Host::builder`].
@@ -91,6 +91,12 @@ impl HostBuilder {
     #[must_use]
     pub fn gcm(self, addr: impl Into<String>) -> Self {
         self.with(|c| c.gcm = Some(addr.into()))
+    }
+
+    /// Lets processes of other machines know and reach this one.
+    #[must_use]
+    pub fn machines(self, machines: Machines) -> Self {
+        self.with(|c| c.machines = machines)
     }
 
     /// Sets which plugin files are taken.

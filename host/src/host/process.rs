@@ -19,6 +19,7 @@ use trocar_model::{Request, Target};
 use super::announce::Announcement;
 use super::candidacy::{Among, Candidacy};
 use super::ending::{Ending, SHUTDOWN};
+use super::machines::Ways;
 use super::sources::{self, Sources};
 use super::state_dir::Kind;
 use super::{HostConfig, HostError, Machines, StateChoice, StateDir, StopRequest, files, threads};
@@ -75,7 +76,7 @@ impl Host {
         (rules, machines): (PortRules, &Machines),
     ) -> Result<Self, HostError> {
         needs_runtime()?;
-        let (_, secured) = machines.open()?;
+        let secured = machines.open(None)?.secured;
         let mut host = Self::in_directory(state, fresh)?;
         let done = host.bring_up_gcm(listen, rules, secured).await;
         host.if_up(done).await
@@ -93,7 +94,7 @@ impl Host {
         (rules, machines): (PortRules, &Machines),
     ) -> Result<Self, HostError> {
         needs_runtime()?;
-        let (_, secured) = machines.open()?;
+        let secured = machines.open(None)?.secured;
         let mut host = Self::in_directory(state, false)?;
         let done = host.bring_up_candidate(listen, among, (rules, secured)).await;
         host.if_up(done).await
@@ -133,12 +134,13 @@ impl Host {
     }
 
     async fn bring_up(&mut self, config: &HostConfig) -> Result<(), HostError> {
-        let (dialler, secured) = config.machines.open()?;
+        let Ways { dialler, secured, afar } = config.machines.open(config.gcm.as_deref())?;
         let Sources { classes, store } = sources::open(config, &self.state)?;
         let lcm = LocalLcm::new(LcmConfig {
             process: config.name.clone(),
             classes,
             links: Some(self.state.path().join("links.sock")),
+            afar,
             lock_memory: config.lock_memory,
             allow_exec: config.allow_exec,
         })

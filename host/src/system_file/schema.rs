@@ -182,7 +182,7 @@ fn connection() -> Value {
             "mailbox": { "type": "integer", "minimum": 1, "maximum": 65536, "description": "Depth of the queue of commands or events." },
             "adapt": { "type": "boolean", "default": false, "description": "Copy by name when the layouts differ." },
             "delay": { "type": "boolean", "default": false, "description": "The client may step before the server in a period of both and take its samples one period later: cuts a circle of components." },
-            "carrier": { "type": "string", "description": "Pins how data travel: inline, heap (within a process) or memfd (between two, and within one where it is pinned); left out: the best there is." }
+            "carrier": { "type": "string", "description": "Pins how data travel: inline, heap (within a process), memfd (between two of one machine, and within one process where it is pinned) or net (between two of any machines); left out: the best there is." }
         }
     })
 }

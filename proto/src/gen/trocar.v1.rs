@@ -728,6 +728,21 @@ pub struct Connection {
     /// wins: no loss.
     #[prost(uint64, tag = "19")]
     pub skipped: u64,
+    /// Between machines: samples, answers, events and rows that the server's end sent or has yet to send, and
+    /// those that came to the client's end; what is missing is on its way.
+    #[prost(uint64, tag = "20")]
+    pub sent: u64,
+    #[prost(uint64, tag = "21")]
+    pub came: u64,
+    /// Between machines: the quickest way there and back of late, ns; 0: none is known.
+    #[prost(uint64, tag = "22")]
+    pub round_trip_ns: u64,
+    /// Between machines: the server's monotonic clock less the client's, ns, and the most by which that is
+    /// wrong. Stamps are converted by it where they arrive.
+    #[prost(sint64, tag = "23")]
+    pub clock_offset_ns: i64,
+    #[prost(uint64, tag = "24")]
+    pub clock_bound_ns: u64,
 }
 /// One half of a connection between two processes: the end that is there, with a stand-in for the other
 /// end.
@@ -5338,6 +5353,9 @@ pub struct Card {
     /// Version of the layout of shared memory.
     #[prost(uint32, tag = "6")]
     pub layout: u32,
+    /// HOST:PORT at which processes of other machines reach it; empty: they do not.
+    #[prost(string, tag = "7")]
+    pub net: ::prost::alloc::string::String,
 }
 /// Asks for the figures of every connection.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

@@ -303,6 +303,13 @@ macro_rules! ways {
             other_process_linked: OtherProcess, Linked calls Linked: Cross Gate Gate;
             other_process_rust_to_cpp: OtherProcess, Rust calls Cpp: Cross Cross Gate;
             other_process_cpp_to_rust: OtherProcess, Cpp calls Rust: Cross Gate Cross;
+            // Two hosts between which an encrypted line is, as between machines. Rows do not leave their
+            // machine, so that reads are asked for in any languages.
+            other_machine_rust: OtherMachine, Rust calls Rust: Cross Gate Gate;
+            other_machine_cpp: OtherMachine, Cpp calls Cpp: Cross Gate Gate;
+            other_machine_linked: OtherMachine, Linked calls Linked: Cross Gate Gate;
+            other_machine_rust_to_cpp: OtherMachine, Rust calls Cpp: Cross Cross Gate;
+            other_machine_cpp_to_rust: OtherMachine, Cpp calls Rust: Cross Gate Cross;
             // Requests reach these over gRPC. Independent cases of Rust are played here, so that they meet
             // that, too.
             built_processes_rust: BuiltProcesses, Rust calls Rust: Gate Gate Gate;

@@ -545,7 +545,7 @@ groups! {
         a_slow_command_gets_a_longer_deadline "DEADLINE"
             |stage| {
                 // The server looks for commands five times a second.
-                let slow = json!({ "model": "periodic", "rate_hz": 5 });
+                let slow = json!({ "model": "periodic", "rate_hz": 5, "wake": "poll" });
                 stage.grpc.create_with("host/takes-long", "Server", json!({}), slow);
                 stage.started("takes-long");
                 invoke("host/takes-long/ctl/write_latest", json!(1.0)).with(json!({ "deadline": "0.001s" }))

@@ -567,6 +567,7 @@ impl Lcm for ModelLcm {
             boot: "1".into(),
             uid: 0,
             socket: "nowhere".into(),
+            net: String::new(),
             layout: LAYOUT,
         };
         Ok(Inventory {

@@ -6,13 +6,13 @@
 use std::collections::BTreeSet;
 
 use super::{
-    BuiltProcesses, Deployment, ExecIn, ExecOut, Language, Languages, OtherProcess, OtherProcessOfCalledBack,
-    OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids,
-    OtherProcessOnTurnedGrids, OtherThread, Passive, SameStream, SharedMemory, Way,
+    BuiltProcesses, Deployment, ExecIn, ExecOut, Language, Languages, OtherMachine, OtherProcess,
+    OtherProcessOfCalledBack, OtherProcessOfFreeClient, OtherProcessOfFreeServer, OtherProcessOfPassive,
+    OtherProcessOnGrids, OtherProcessOnTurnedGrids, OtherThread, Passive, SameStream, SharedMemory, Way,
 };
 
 /// Every deployment of the suite.
-pub const DEPLOYMENTS: [&dyn Deployment; 14] = [
+pub const DEPLOYMENTS: [&dyn Deployment; 15] = [
     &OtherThread,
     &SameStream,
     &ExecIn,
@@ -20,6 +20,7 @@ pub const DEPLOYMENTS: [&dyn Deployment; 14] = [
     &Passive,
     &SharedMemory,
     &OtherProcess,
+    &OtherMachine,
     &BuiltProcesses,
     &OtherProcessOnGrids,
     &OtherProcessOnTurnedGrids,

@@ -21,7 +21,7 @@ mod world;
 pub use answer::{Answer, Call, Function, Samples};
 pub use language::{Language, Languages};
 pub use parted::{
-    BuiltProcesses, OtherProcess, OtherProcessOfCalledBack, OtherProcessOfFreeClient,
+    BuiltProcesses, OtherMachine, OtherProcess, OtherProcessOfCalledBack, OtherProcessOfFreeClient,
     OtherProcessOfFreeServer, OtherProcessOfPassive, OtherProcessOnGrids, OtherProcessOnTurnedGrids,
 };
 pub use way::{

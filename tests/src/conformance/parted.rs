@@ -46,6 +46,30 @@ macro_rules! parted {
     )+};
 }
 
+/// Each in a process of its own, as on two machines: what they share goes over an encrypted line.
+pub struct OtherMachine;
+
+impl Deployment for OtherMachine {
+    fn name(&self) -> &'static str {
+        "other machine"
+    }
+    fn inline(&self) -> bool {
+        false
+    }
+    fn client(&self) -> Execution {
+        OtherProcess.client()
+    }
+    fn server(&self) -> Execution {
+        OtherProcess.server()
+    }
+    fn two_processes(&self) -> bool {
+        true
+    }
+    fn carrier(&self) -> &'static str {
+        "net"
+    }
+}
+
 parted! {
     /// Each in a process of its own, asleep until something arrives.
     OtherProcess, "other process": model(ExecutionModel::OnSignal), model(ExecutionModel::OnSignal), true;

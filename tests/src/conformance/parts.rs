@@ -3,14 +3,17 @@
 //! Invariant: a component stays in the process it was made in; its path is found by its name alone.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, MutexGuard, PoisonError};
+use std::path::PathBuf;
+use std::sync::{Arc, MutexGuard, OnceLock, PoisonError};
 
 use serde_json::json;
+use tempfile::TempDir;
 use trocar::Host;
 use trocar::gcm::Registration;
 use trocar::host::{Machines, PortRules, StateChoice};
 use trocar::lcm::Lcm;
 use trocar::model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request, Target};
+use trocar_net::{Authority, Role, Wish};
 
 use super::world::runtime;
 use super::{Lab, Languages};
@@ -21,6 +24,31 @@ const HOST: &str = "host";
 /// The process of servers, where there are two.
 const OTHER: &str = "other";
 
+/// How a process of a lab whose connections have this carrier is reached from other machines.
+pub(super) fn machines(carrier: &str) -> Machines {
+    if carrier != "net" {
+        return Machines::default();
+    }
+    // One identity for all labs of this process.
+    static IDENTITY: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    let (_, identity) = IDENTITY.get_or_init(|| {
+        let dir = TempDir::new().unwrap_or_else(|e| panic!("no directory: {e}"));
+        let wish = Wish {
+            name: "lab".into(),
+            role: Role::Host,
+            processes: vec![HOST.into(), OTHER.into()],
+            addresses: Vec::new(),
+            days: 1,
+        };
+        let identity = dir.path().join("lab.pem");
+        let authority = Authority::init(&dir.path().join("authority"));
+        let issued = authority.and_then(|mut authority| authority.issue(&wish, &identity));
+        issued.unwrap_or_else(|e| panic!("no identity: {e}"));
+        (dir, identity)
+    });
+    Machines { identity: Some(identity.clone()), lines: Some("127.0.0.1:0".into()), ..Machines::default() }
+}
+
 fn name(process: &str) -> Name {
     process.parse().unwrap_or_else(|e| panic!("{process}: {e}"))
 }
@@ -28,7 +56,8 @@ fn name(process: &str) -> Name {
 impl Lab {
     /// The other process, where servers are then made.
     pub(super) fn part(mut self) -> Lab {
-        let builder = self.languages.offer(Host::builder().name(OTHER), &self.world);
+        let builder = Host::builder().name(OTHER).machines(machines(self.carrier));
+        let builder = self.languages.offer(builder, &self.world);
         let other = runtime().block_on(builder.start()).unwrap_or_else(|e| panic!("no other host: {e}"));
         let lcm = other.lcm().cloned().unwrap_or_else(|| panic!("the other host has no LCM"));
         let attached = runtime().block_on(async {
@@ -91,6 +120,11 @@ impl Lab {
     /// Frames pass between clients and servers in memory that is mapped twice.
     pub(super) fn maps(&self) -> bool {
         self.is_parted() || self.carrier == "memfd"
+    }
+
+    /// Frames are copied from one machine to the other.
+    pub(super) fn copies(&self) -> bool {
+        self.carrier == "net"
     }
 
     fn places(&self) -> MutexGuard<'_, BTreeMap<String, &'static str>> {

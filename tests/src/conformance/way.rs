@@ -26,15 +26,25 @@ pub enum Reach {
     /// The same where only the server's process has that code: reads with an argument are asked for, and
     /// answered there beside the component.
     Apart,
+    /// Over a line between machines: reads with an argument are asked for as well; a call that was sent may
+    /// have begun, whatever becomes of its answer; each side has a queue.
+    Machine,
 }
 
 impl Reach {
-    pub const ALL: [Reach; 5] = [Reach::Queue, Reach::Thread, Reach::Caller, Reach::Process, Reach::Apart];
+    pub const ALL: [Reach; 6] =
+        [Reach::Queue, Reach::Thread, Reach::Caller, Reach::Process, Reach::Apart, Reach::Machine];
+
+    /// Reads with an argument are asked for.
+    #[must_use]
+    pub fn asks(self) -> bool {
+        matches!(self, Reach::Apart | Reach::Machine)
+    }
 
     /// Commands wait in a queue for the server's own thread.
     #[must_use]
     pub fn queues(self) -> bool {
-        matches!(self, Reach::Queue | Reach::Process | Reach::Apart)
+        matches!(self, Reach::Queue | Reach::Process | Reach::Apart | Reach::Machine)
     }
 }
 
@@ -114,10 +124,17 @@ impl Way {
             (true, ..) => Reach::Thread,
             (false, true, _) => Reach::Caller,
             (false, false, false) => Reach::Queue,
+            (false, false, true) if d.carrier() == "net" => Reach::Machine,
             // The client's process has the code of the client's plugin, and nothing else.
             (false, false, true) if languages.client == languages.server => Reach::Process,
             (false, false, true) => Reach::Apart,
         }
+    }
+
+    /// Number of calls that may have begun, as far as a caller knows, of one that waited in a queue.
+    #[must_use]
+    pub fn may_have_begun(&self) -> u64 {
+        u64::from(self.reach() == Reach::Machine)
     }
 
     /// Plays a case. A machine that gives a process no time for long makes its GCM, or the process it is

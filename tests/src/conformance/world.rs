@@ -16,6 +16,7 @@ use trocar::host::HostBuilder;
 use trocar::lcm::{Invoke, LogLine, Payload, Reply};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel, MemberId, Refusal, Request, Which};
 
+use super::parts::machines;
 use super::way::note_away;
 use super::{Answer, Call, Languages, Samples, Way};
 use crate::{HostProcess, World, eventually};
@@ -97,7 +98,8 @@ impl Lab {
         if deployment.built_processes() {
             return Lab::spawned(way.languages);
         }
-        let mut lab = Lab::with(way.languages, more);
+        let reached = machines(deployment.carrier());
+        let mut lab = Lab::with(way.languages, |host| more(host).machines(reached));
         lab.carrier = deployment.carrier();
         if deployment.two_processes() { lab.part() } else { lab }
     }
@@ -228,7 +230,9 @@ impl Lab {
             Err(lost @ Refusal::ProcessLost { .. }) => Err(lost),
             answer => Ok(answer),
         });
-        answer.unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"))
+        let answer = answer.unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"));
+        self.settle();
+        answer
     }
 
     /// # Errors
@@ -325,6 +329,26 @@ impl Lab {
         self.invoke_within(member, arg, send, PATIENCE)
     }
 
+    /// Waits until the samples that are on their way between machines have come.
+    fn settle(&self) {
+        if self.carrier != "net" {
+            return;
+        }
+        eventually("what was sent has come", || {
+            let mut on_the_way = BTreeMap::<u64, (u64, u64)>::new();
+            for link in self.links() {
+                let sums = on_the_way.entry(link.connection).or_default();
+                *sums = (sums.0 + link.sent, sums.1 + link.came);
+            }
+            on_the_way.retain(|_, (sent, came)| sent > came);
+            if on_the_way.is_empty() {
+                Ok(())
+            } else {
+                Err(format!("(sent, came) by connection: {on_the_way:?}"))
+            }
+        });
+    }
+
     /// # Errors
     /// The refusal that its outcome becomes.
     pub fn invoke_within(
@@ -339,6 +363,7 @@ impl Lab {
         let deadline_ns = u64::try_from(within.as_nanos()).unwrap_or(u64::MAX);
         let lcm = self.lcm_of(id.port.component.component.as_str());
         let reply = runtime().block_on(lcm.invoke(Invoke { member: id, arg, send, deadline_ns }))?;
+        self.settle();
         let value = reply.value.map(|value| self.as_declared(member, value));
         Ok(Reply { value, ..reply })
     }

@@ -1,22 +1,18 @@
-//! The carrier `memfd`: memory that both ends map, the only one so far that leaves a process.
+//! The carrier `memfd`: memory that both ends map, of one process or of two of one machine.
 //!
 //! Invariant: between two processes and, where it is pinned, inside one the memory is the same, laid out and
 //! used by the same code (`lcm/remote`); inside one process both ends are joined at once, without a session.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
-use tokio::sync::oneshot;
-use trocar_lcm_api::{HalfReport, LinkDetail};
+use trocar_lcm_api::HalfReport;
 use trocar_links::Card;
-use trocar_model::{ComponentId, Refusal};
+use trocar_model::Refusal;
 use trocar_rt::wake::Waker;
 
-use super::super::ends::{Joined, Tell};
-use super::super::instance::Instance;
-use super::super::loss::Loss;
-use super::super::remote::{Half, NAME, Near, Remote};
-use super::{Both, Carrier, Halves, OneEnd};
+use super::super::ends::Joined;
+use super::super::remote::{NAME, Near, Remote};
+use super::{Both, Carrier, Halves};
 
 pub(super) struct Memfd {
     /// `None` where this process does not listen for others.
@@ -28,12 +24,11 @@ impl Memfd {
     /// # Errors
     /// The socket cannot be made there, or the machine gives no more threads.
     pub(super) fn start(
-        process: &str,
-        socket: Option<PathBuf>,
+        card: Option<Card>,
         news: impl Fn(HalfReport) + Send + 'static,
         bell: Arc<Waker>,
     ) -> std::io::Result<Memfd> {
-        let remote = socket.map(|socket| Remote::start(process, socket, news)).transpose()?;
+        let remote = card.map(|card| Remote::in_memory(card, news)).transpose()?;
         Ok(Memfd { remote, near: Near::new(bell) })
     }
 }
@@ -63,47 +58,5 @@ impl Carrier for Memfd {
         if let Some(remote) = &self.remote {
             remote.stop();
         }
-    }
-}
-
-impl Halves for Remote {
-    fn card(&self) -> &Card {
-        Remote::card(self)
-    }
-
-    fn reaches(&self, card: &Card) -> Result<(), String> {
-        self.card().reaches(card).map_err(|e| e.to_string())
-    }
-
-    fn add(&self, end: OneEnd, tell: Option<Tell>) -> Result<(), Refusal> {
-        let OneEnd { connection, role, here, required, theirs, card, same_class } = end;
-        let half = Half::new((connection, role), here, required, (theirs, card, same_class), tell);
-        half.terms(false)?;
-        Remote::add(self, half);
-        Ok(())
-    }
-
-    fn remove(&self, connection: u64, how: Loss, tell: oneshot::Sender<()>) -> Option<Arc<Instance>> {
-        Remote::remove(self, connection, how, tell).map(|half| half.here.instance.clone())
-    }
-
-    fn why_not(&self, connection: u64) -> String {
-        Remote::why_not(self, connection)
-    }
-
-    fn cut_misfits(&self, component: &ComponentId, lost: &[String]) -> Vec<u64> {
-        Remote::cut_misfits(self, component, lost)
-    }
-
-    fn connections(&self) -> Vec<u64> {
-        Remote::connections(self)
-    }
-
-    fn details(&self) -> Vec<LinkDetail> {
-        Remote::details(self)
-    }
-
-    fn reports(&self) -> Vec<HalfReport> {
-        Remote::reports(self)
     }
 }

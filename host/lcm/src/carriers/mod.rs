@@ -3,9 +3,11 @@
 //! Invariant: a carrier is asked when connections are made, cut, shown and looked after, never for a sample
 //! or a call: those find cells that are bound already.
 
+mod halves;
 mod heap;
 mod inline;
 mod memfd;
+mod net;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,8 +22,10 @@ use super::described::PortSet;
 use super::ends::{Here, Joined, Role, SameClass, Tell};
 use super::instance::Instance;
 use super::loss::Loss;
+use super::remote::Afar;
 use inline::Inline;
 use memfd::Memfd;
+use net::Net;
 
 /// Name of the carrier of calls within one thread.
 const INLINE: &str = "inline";
@@ -138,27 +142,35 @@ pub(super) struct Carriers {
     inline: Inline,
     heap: heap::Heap,
     memfd: Memfd,
+    /// `None` where this process is not reached from other machines.
+    net: Option<Net>,
 }
 
 impl Carriers {
-    /// Starts the carriers. `socket`: where this process listens for others, if it does; `news` gets the
-    /// state of each half; `bell` is rung when a carrier needs to be tended.
+    /// Starts the carriers. `socket`: where this process listens for others of its machine, `afar`: for those
+    /// of other machines, if it does; `news` gets the state of each half; `bell` is rung when a carrier needs
+    /// to be tended.
     ///
     /// # Errors
-    /// The socket cannot be made there, or the machine gives no more threads.
+    /// The socket or the address cannot be had, or the machine gives no more threads.
     pub(super) fn start(
         process: &str,
-        socket: Option<PathBuf>,
-        news: impl Fn(HalfReport) + Send + 'static,
+        (socket, afar): (Option<PathBuf>, Option<Afar>),
+        news: impl Fn(HalfReport) + Clone + Send + 'static,
         bell: Arc<Waker>,
     ) -> std::io::Result<Arc<Carriers>> {
-        let memfd = Memfd::start(process, socket, news, bell)?;
-        Ok(Arc::new(Carriers { inline: Inline, heap: heap::Heap, memfd }))
+        let card = socket.map(|socket| Card::own(process, socket)).transpose()?;
+        let net = afar.zip(card.clone()).map(|(afar, card)| Net::start(afar, card, news.clone()));
+        let net = net.transpose()?;
+        let card = net.as_ref().map(Net::card).or(card);
+        let memfd = Memfd::start(card, news, bell)?;
+        Ok(Arc::new(Carriers { inline: Inline, heap: heap::Heap, memfd, net }))
     }
 
     /// The best carrier first.
-    fn all(&self) -> [&dyn Carrier; 3] {
-        [&self.inline, &self.heap, &self.memfd]
+    fn all(&self) -> impl Iterator<Item = &dyn Carrier> {
+        let here: [&dyn Carrier; 3] = [&self.inline, &self.heap, &self.memfd];
+        here.into_iter().chain(self.net.as_ref().map(|net| net as &dyn Carrier))
     }
 
     /// Connects two ends of this process by the carrier the connection is pinned to, or by the best there is.
@@ -168,7 +180,7 @@ impl Carriers {
     pub(super) fn join(&self, both: &Both<'_>) -> Result<Box<dyn Joined>, Refusal> {
         let pinned = both.connection.options.carrier.as_str();
         let mut reasons = Vec::new();
-        for carrier in self.all().into_iter().filter(|c| pinned.is_empty() || c.name() == pinned) {
+        for carrier in self.all().filter(|c| pinned.is_empty() || c.name() == pinned) {
             match carrier.joins(both) {
                 Ok(()) => return carrier.join(both),
                 Err(why) => reasons.push(format!("\"{}\" cannot be had here, as {why}", carrier.name())),
@@ -181,7 +193,7 @@ impl Carriers {
 
     /// Halves of the carriers that leave this process.
     pub(super) fn halves(&self) -> impl Iterator<Item = &dyn Halves> {
-        self.all().into_iter().filter_map(|carrier| carrier.halves())
+        self.all().filter_map(|carrier| carrier.halves())
     }
 
     /// Finds the carrier that reaches the process of this card; it must be the pinned one if the connection
@@ -192,7 +204,7 @@ impl Carriers {
     pub(super) fn reaching(&self, connection: &Connection, card: &Card) -> Result<&dyn Halves, String> {
         let pinned = connection.options.carrier.as_str();
         let mut reasons = Vec::new();
-        for carrier in self.all().into_iter().filter(|c| pinned.is_empty() || c.name() == pinned) {
+        for carrier in self.all().filter(|c| pinned.is_empty() || c.name() == pinned) {
             let Some(halves) = carrier.halves() else { continue };
             match halves.reaches(card) {
                 Ok(()) => return Ok(halves),
@@ -207,10 +219,10 @@ impl Carriers {
 
     /// Looks after the connections of all carriers; true: call again soon. Managers only.
     pub(super) fn tend(&self) -> bool {
-        self.all().map(|carrier| carrier.tend()).contains(&true)
+        self.all().filter(|carrier| carrier.tend()).count() > 0
     }
 
     pub(super) fn stop(&self) {
-        self.all().into_iter().for_each(|carrier| carrier.stop());
+        self.all().for_each(|carrier| carrier.stop());
     }
 }

@@ -10,16 +10,17 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use parking_lot::{Mutex, MutexGuard};
-use trocar_links::Session;
 use trocar_plugin_api::abi::{DEADLINE, Outcome, PEER_LOST};
 use trocar_rt::os;
 
 use super::super::boundary::{Asking, ReadAnswer};
+use super::medium::Session;
 use super::words::Words;
 
 /// The questions of one link.
 pub(super) struct Asks {
-    session: Weak<Session>,
+    /// `None`: there is no peer to ask.
+    session: Option<Weak<dyn Session>>,
     connection: u64,
     epoch: u64,
     next: AtomicU64,
@@ -28,9 +29,9 @@ pub(super) struct Asks {
 }
 
 impl Asks {
-    pub(super) fn new(session: &Arc<Session>, connection: u64, epoch: u64) -> Arc<Asks> {
+    pub(super) fn new(session: &Arc<dyn Session>, connection: u64, epoch: u64) -> Arc<Asks> {
         Arc::new(Asks {
-            session: Arc::downgrade(session),
+            session: Some(Arc::downgrade(session)),
             connection,
             epoch,
             next: AtomicU64::new(1),
@@ -41,7 +42,7 @@ impl Asks {
     /// Asks of a link that has no peer to ask.
     pub(super) fn of_nobody(connection: u64, epoch: u64) -> Arc<Asks> {
         let (next, open) = (AtomicU64::new(1), Mutex::new(None));
-        Arc::new(Asks { session: Weak::new(), connection, epoch, next, open })
+        Arc::new(Asks { session: None, connection, epoch, next, open })
     }
 
     fn open(&self) -> MutexGuard<'_, Option<BTreeMap<u64, SyncSender<ReadAnswer>>>> {
@@ -64,14 +65,14 @@ impl Asks {
 
 impl Asking for Asks {
     fn ask(&self, index: u32, arg: &[u8], within_ns: u64) -> Result<ReadAnswer, Outcome> {
-        let session = self.session.upgrade().ok_or(PEER_LOST)?;
+        let session = self.session.as_ref().and_then(Weak::upgrade).ok_or(PEER_LOST)?;
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (tell, told) = sync_channel(1);
         self.open().as_mut().ok_or(PEER_LOST)?.insert(number, tell);
         let left_ns = within_ns;
         let words = Words::Ask { connection: self.connection, epoch: self.epoch, number, index, left_ns };
         let until_ns = os::now_ns().saturating_add(within_ns);
-        let answer = session.send(&words.encode(arg), &[]).map_err(|_| PEER_LOST).and_then(|()| {
+        let answer = session.say(&words, arg, &[]).map_err(|_| PEER_LOST).and_then(|()| {
             let left = Duration::from_nanos(until_ns.saturating_sub(os::now_ns()));
             told.recv_timeout(left).map_err(|why| match why {
                 RecvTimeoutError::Timeout => DEADLINE,

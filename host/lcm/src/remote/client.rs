@@ -95,7 +95,7 @@ impl ClientWires {
     /// # Errors
     /// The memory is not as agreed, or the thread can be woken by no more connections.
     pub(super) fn connect(
-        (memory, agreed): (OwnedFd, Agreed),
+        (memory, agreed, bell): (OwnedFd, Agreed, Option<Arc<Waker>>),
         way: &Way,
         connection: &Connection,
         (here, set): (&Here, &PortSet),
@@ -109,7 +109,9 @@ impl ClientWires {
                 Self::read(stream, views, connection, here, (cell, ty, *depth, adapt.clone()))
             }
             Way::Calls { binding, shape } => {
-                let calls = RemoteCalls::open(memory, shape, agreed)?;
+                let mut calls = RemoteCalls::open(memory, shape, agreed)?;
+                // Whoever stands in for the server is rung in place of the server's thread.
+                calls.for_server = bell.unwrap_or(calls.for_server);
                 Self::call(calls, binding, connection, (here, set), (server, asks, own))
             }
         }

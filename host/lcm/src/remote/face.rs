@@ -11,8 +11,10 @@ use trocar_loader::system;
 use trocar_rt::os;
 use trocar_rt::segment::Word;
 use trocar_rt::state::StateWriter;
+use trocar_rt::wake::Waker;
 
 use super::super::boundary::{ERR_BYTES, Reader, read_published};
+use super::super::context;
 use super::super::core::{Core, ShownRows, View};
 use super::super::inbox::Position;
 use super::super::kept::Kept;
@@ -42,6 +44,8 @@ pub(super) struct Face {
     /// Published with the state.
     status: Mutex<Vec<Shown>>,
     figures: Option<Kept<Figures>>,
+    /// Bell of whoever stands in for the client here, and takes all this to another machine.
+    bell: Option<Arc<Waker>>,
 }
 
 struct Figures {
@@ -61,6 +65,7 @@ impl Face {
         shown: Vec<Shown>,
         own: Vec<(Arc<Position>, Word)>,
         rows: Option<Arc<ShownRows>>,
+        bell: Option<Arc<Waker>>,
     ) -> Arc<Face> {
         let is = |shown: &Shown, which| matches!(shown.from, Reader::System(system) if system == which);
         let (status, rest): (Vec<_>, Vec<_>) = shown.into_iter().partition(|s| is(s, system::GET_STATE));
@@ -72,6 +77,7 @@ impl Face {
             results: unless_empty(results, |all| all),
             status: Mutex::new(status),
             figures: unless_empty(figures, |shown| Figures { shown, at_ns: 0 }),
+            bell,
         };
         face.show_positions();
         Arc::new(face)
@@ -107,14 +113,19 @@ impl View<Core> for Face {
                 break;
             }
         }
-        let mut shown = self.status.lock();
-        shown.iter_mut().for_each(|read| read.publish(server));
+        self.status.lock().iter_mut().for_each(|read| read.publish(server));
+        if let Some(bell) = &self.bell {
+            bell.notify();
+        }
     }
 
     /// Shows the present results of the reads. Real-time.
     fn show_row(&self, server: &Core) {
         if let Some(results) = &self.results {
             results.write(|shown| shown.iter_mut().for_each(|read| read.publish(server)));
+            if let Some(bell) = &self.bell {
+                context::wake(bell);
+            }
         }
     }
 

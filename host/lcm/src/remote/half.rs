@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use parking_lot::{Mutex, MutexGuard};
 use trocar_lcm_api::{HalfReport, LinkDetail};
-use trocar_links::{Card, Links, Session};
+use trocar_links::Card;
 use trocar_model::{Connection, End, PortId, Ports, Proxy, Refusal};
 
 use super::super::described::PortSet;
@@ -16,15 +16,14 @@ use super::super::ends::{Here, Role, SameClass, Tell};
 use super::super::loss::Loss;
 use super::super::passage::passing;
 use super::client::ClientWires;
+use super::medium::{Medium, Session, same};
 use super::missed::Missed;
 use super::server::ServerWires;
+use super::stand_in::StandIn;
 use super::terms::{Terms, Way};
 
 /// Time a server's process may take to answer before it is asked again.
 const ANSWER: Duration = Duration::from_secs(1);
-/// Carrier of such connections.
-pub(crate) const CARRIER: &str = "memfd";
-
 pub(crate) struct Half {
     pub(super) connection: Connection,
     pub(super) role: Role,
@@ -37,6 +36,8 @@ pub(crate) struct Half {
     pub(super) card: Card,
     /// For a client: whether the code of the server's class is here.
     pub(super) same_class: SameClass,
+    /// Carrier of the connection.
+    carrier: &'static str,
     stage: Mutex<Stage>,
 }
 
@@ -56,9 +57,11 @@ pub(super) struct Stage {
 }
 
 pub(super) struct Linked {
-    pub(super) session: Arc<Session>,
+    pub(super) session: Arc<dyn Session>,
     pub(super) epoch: u64,
     pub(super) wires: Wires,
+    /// Whoever stands in for the other end here, over a medium without memory.
+    pub(super) stand_in: Option<Arc<dyn StandIn>>,
 }
 
 pub(super) enum Wires {
@@ -73,9 +76,10 @@ impl Half {
         required: bool,
         (theirs, card, same_class): (Arc<Ports>, Card, SameClass),
         tell: Option<Tell>,
+        carrier: &'static str,
     ) -> Arc<Half> {
         let stage = Mutex::new(Stage { tell, ..Stage::default() });
-        Arc::new(Half { connection, role, here, required, theirs, card, same_class, stage })
+        Arc::new(Half { connection, role, here, required, theirs, card, same_class, carrier, stage })
     }
 
     pub(super) fn number(&self) -> u64 {
@@ -95,30 +99,29 @@ impl Half {
     }
 
     /// Tells whether that session is with the run of the process this half was made for.
-    pub(super) fn is_with(&self, session: &Session) -> bool {
-        let peer = session.peer();
-        peer.process == self.other() && peer.instance == self.card.instance
+    pub(super) fn is_with(&self, session: &dyn Session) -> bool {
+        session.process() == self.other() && session.instance() == self.card.instance
     }
 
     /// Tells whether the server's process is to be asked over this session: each is asked once, unless it
     /// never answers.
-    pub(super) fn may_ask(&self, session: &Session) -> bool {
+    pub(super) fn may_ask(&self, session: &dyn Session) -> bool {
         let stage = self.stage();
         let waits = |(number, since): (u64, Instant)| number == session.number() && since.elapsed() < ANSWER;
         stage.linked.is_none() && !stage.asked.is_some_and(waits)
     }
 
-    pub(super) fn asked(&self, over: Option<&Session>) {
+    pub(super) fn asked(&self, over: Option<&dyn Session>) {
         self.stage().asked = over.map(|session| (session.number(), Instant::now()));
     }
 
     /// Reason why it is not linked, when no reason was given yet.
-    pub(super) fn unsaid(&self, links: &Links) -> String {
+    pub(super) fn unsaid(&self, medium: &dyn Medium) -> String {
         let other = self.other();
         match self.role {
-            Role::Client => links
-                .why_not(&self.card.socket)
-                .unwrap_or_else(|| format!("process {other} has not answered yet")),
+            Role::Client => {
+                medium.why_not(&self.card).unwrap_or_else(|| format!("process {other} has not answered yet"))
+            }
             Role::Server => format!("process {other} has not asked for it yet"),
         }
     }
@@ -136,13 +139,13 @@ impl Half {
     /// The wires, if it is linked over this session in this epoch.
     pub(super) fn with_wires<R>(
         &self,
-        session: &Arc<Session>,
+        session: &Arc<dyn Session>,
         epoch: u64,
         f: impl FnOnce(&Wires) -> R,
     ) -> Option<R> {
         let stage = self.stage();
         let linked = stage.linked.as_ref()?;
-        (Arc::ptr_eq(&linked.session, session) && linked.epoch == epoch).then(|| f(&linked.wires))
+        (same(&linked.session, session) && linked.epoch == epoch).then(|| f(&linked.wires))
     }
 
     /// Warns the client that so many commands of this link that it only sent failed, and so many never ran.
@@ -208,9 +211,15 @@ impl Half {
     }
 
     /// Notes that the half is linked.
-    pub(super) fn link(&self, session: &Arc<Session>, epoch: u64, wires: Wires) {
+    pub(super) fn link(
+        &self,
+        session: &Arc<dyn Session>,
+        epoch: u64,
+        wires: Wires,
+        stand_in: Option<Arc<dyn StandIn>>,
+    ) {
         let mut stage = self.stage();
-        stage.linked = Some(Linked { session: session.clone(), epoch, wires });
+        stage.linked = Some(Linked { session: session.clone(), epoch, wires, stand_in });
         stage.why.clear();
         let tell = stage.tell.take();
         drop(stage);
@@ -233,19 +242,22 @@ impl Half {
     }
 
     /// Removes the wires, if it is linked (over this session, where one is named).
-    pub(super) fn unlink(&self, of: Option<&Arc<Session>>, why: &str, how: Loss) -> Option<Linked> {
+    pub(super) fn unlink(&self, of: Option<&Arc<dyn Session>>, why: &str, how: Loss) -> Option<Linked> {
         let mut stage = self.stage();
-        let is_it = |linked: &mut Linked| of.is_none_or(|session| Arc::ptr_eq(session, &linked.session));
+        let is_it = |linked: &mut Linked| of.is_none_or(|session| same(session, &linked.session));
         let linked = stage.linked.take_if(is_it)?;
         why.clone_into(&mut stage.why);
         drop(stage);
-        let (last, offered) = match &linked.wires {
+        let (mut last, offered) = match &linked.wires {
             Wires::Client(wires) => {
                 wires.disconnect(&self.here, how);
                 (wires.detail(), None)
             }
             Wires::Server(wires) => wires.end(&self.connection, &self.here),
         };
+        if let Some(stand_in) = &linked.stand_in {
+            stand_in.correct(&mut last);
+        }
         let mut stage = self.stage();
         stage.before = std::mem::take(&mut stage.before).followed_by(&last);
         if let Some(offered) = offered {
@@ -260,9 +272,9 @@ impl Half {
 
     /// Handles the loss of the other process: waiting callers are answered now, inputs have no source; the
     /// rest follows. Any thread.
-    pub(super) fn lose(&self, session: &Arc<Session>) {
+    pub(super) fn lose(&self, session: &Arc<dyn Session>) {
         if let Some(Linked { session: mine, wires: Wires::Client(wires), .. }) = &self.stage().linked
-            && Arc::ptr_eq(mine, session)
+            && same(mine, session)
         {
             wires.lose();
         }
@@ -293,17 +305,23 @@ impl Half {
         };
         let process = port.component.process.clone();
         let peer = self.card.instance.clone();
-        let proxy = Some(Proxy { process, epoch, why, carrier: CARRIER.into(), peer });
+        let proxy = Some(Proxy { process, epoch, why, carrier: self.carrier.into(), peer });
         HalfReport { connection: self.number(), end, proxy }
     }
 
     pub(super) fn detail(&self) -> LinkDetail {
         let stage = self.stage();
-        let now = match &stage.linked {
+        let mut now = match &stage.linked {
             Some(Linked { wires: Wires::Client(wires), .. }) => wires.detail(),
             Some(Linked { wires: Wires::Server(wires), .. }) => wires.detail(),
             None => LinkDetail::default(),
         };
+        if let Some(Linked { stand_in: Some(stand_in), session, .. }) = &stage.linked {
+            stand_in.correct(&mut now);
+            if let (Role::Client, Some(stand_ins)) = (self.role, session.stand_ins()) {
+                stand_ins.tell_of_line(&mut now);
+            }
+        }
         let mut all = stage.before.clone().followed_by(&now);
         let offered = match &stage.linked {
             Some(Linked { wires: Wires::Server(wires), .. }) => wires.offered(),
@@ -316,6 +334,12 @@ impl Half {
             Some(Linked { wires: Wires::Client(_), .. }) => (mine, ""),
             _ => ("", ""),
         };
-        LinkDetail { connection: self.number(), carrier: CARRIER.into(), client_wake, server_wake, ..all }
+        LinkDetail {
+            connection: self.number(),
+            carrier: self.carrier.into(),
+            client_wake,
+            server_wake,
+            ..all
+        }
     }
 }

@@ -5,13 +5,12 @@
 //! messages of any other run of that name are ignored. Each session is asked once for each link.
 
 use std::collections::BTreeMap;
-use std::os::fd::{AsFd, OwnedFd};
-use std::path::PathBuf;
+use std::os::fd::OwnedFd;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use trocar_lcm_api::HalfReport;
-use trocar_links::{Links, Message, Session};
+use trocar_links::Card;
 use trocar_rt::os;
 use trocar_rt::segment::Agreed;
 use trocar_rt::stream::{RemotePools, RemoteViews};
@@ -22,10 +21,12 @@ use super::super::loss::Loss;
 use super::asks::Asks;
 use super::client::{ClientWires, Own};
 use super::half::{Half, Linked, Wires};
+use super::medium::{Medium, Message, Session, same};
 use super::pools::{Untold, all_came, map};
 use super::same_class::{code_of, rows_for};
 use super::server::{Offer, ServerWires};
 use super::serving::{Question, QuestionQueue};
+use super::stand_in::{Link, Placed, StandIns};
 use super::todo::{Halves, Todo, Todos, all, locked};
 use super::words::{Pool, Words};
 
@@ -42,48 +43,43 @@ const LINGER: Duration = Duration::from_secs(1);
 const TELL_FAILURES: Duration = Duration::from_secs(1);
 
 pub(super) struct Linking {
-    links: Arc<Links>,
+    medium: Arc<dyn Medium>,
     halves: Halves,
     todos: Arc<Todos>,
     /// Live sessions, dialled by this process or by the other one.
-    sessions: Vec<Arc<Session>>,
+    sessions: Vec<Arc<dyn Session>>,
     /// Epoch of the newest link.
     epoch: u64,
     retried: Instant,
     told_failures: Instant,
     /// Removed links whose readers, over these sessions, still hold frames.
-    lent: Vec<(Arc<Session>, Arc<RemotePools>)>,
+    lent: Vec<(Arc<dyn Session>, Arc<RemotePools>)>,
     /// Servers of connections that were cut, over these sessions, while calls in them were under way.
-    leaving: Vec<(Arc<Session>, Weak<RemoteServer>)>,
-    /// Sockets of processes whose session is no longer needed, and since when: calls under way end first, and
-    /// a new connection right after finds the session.
-    left: Vec<(PathBuf, Instant)>,
+    leaving: Vec<(Arc<dyn Session>, Weak<RemoteServer>)>,
+    /// Processes whose session is no longer needed, and since when: calls under way end first, and a new
+    /// connection right after finds the session.
+    left: Vec<(Card, Instant)>,
     /// State of each half as last reported.
     told: BTreeMap<u64, HalfReport>,
     news: Box<dyn Fn(HalfReport) + Send>,
 }
 
-fn say(session: &Session, words: &Words, behind: &[u8], files: &[OwnedFd]) -> Result<(), String> {
-    let files: Vec<_> = files.iter().map(AsFd::as_fd).collect();
-    session.send(&words.encode(behind), &files).map_err(|e| e.to_string())
-}
-
 /// Tells a server of its reads that panicked here, if there are new ones.
-fn tell_panics(session: &Session, (connection, epoch): (u64, u64), wires: &mut ClientWires) {
+fn tell_panics(session: &dyn Session, (connection, epoch): (u64, u64), wires: &mut ClientWires) {
     if let Some((count, text)) = wires.untold_panics() {
-        let _ = say(session, &Words::Panicked { connection, epoch, count }, text.as_bytes(), &[]);
+        let _ = session.say(&Words::Panicked { connection, epoch, count }, text.as_bytes(), &[]);
     }
 }
 
 impl Linking {
     pub(super) fn new(
-        links: Arc<Links>,
+        medium: Arc<dyn Medium>,
         halves: Halves,
         todos: Arc<Todos>,
         news: impl Fn(HalfReport) + Send + 'static,
     ) -> Linking {
         Linking {
-            links,
+            medium,
             halves,
             todos,
             sessions: Vec::new(),
@@ -160,7 +156,7 @@ impl Linking {
             if self.told.get(&half.number()).is_some_and(|told| half.stands_as(told)) {
                 continue;
             }
-            let report = half.report(|| half.unsaid(&self.links));
+            let report = half.report(|| half.unsaid(&*self.medium));
             if self.told.get(&report.connection) != Some(&report) {
                 (self.news)(report.clone());
                 self.told.insert(report.connection, report);
@@ -175,7 +171,7 @@ impl Linking {
     fn added(&mut self, half: &Arc<Half>, before: Option<Arc<Half>>) {
         if half.role == Role::Client {
             // Before the replaced half leaves, or their session would end in between.
-            self.links.want(&half.card.socket);
+            self.medium.want(&half.card);
         }
         if let Some(before) = before {
             self.removed(&before, Loss::Replaced);
@@ -184,8 +180,8 @@ impl Linking {
         match half.role {
             Role::Client => self.open(half),
             Role::Server => {
-                for session in self.sessions.iter().filter(|session| half.is_with(session)) {
-                    let _ = say(session, &Words::Offered { connection: half.number() }, &[], &[]);
+                for session in self.sessions.iter().filter(|session| half.is_with(&***session)) {
+                    let _ = session.say(&Words::Offered { connection: half.number() }, &[], &[]);
                 }
             }
         }
@@ -195,18 +191,18 @@ impl Linking {
         self.unlink(half, None, "it was disconnected", how, true);
         half.fail("it was disconnected".into(), true);
         if half.role == Role::Client {
-            self.left.push((half.card.socket.clone(), Instant::now()));
+            self.left.push((half.card.clone(), Instant::now()));
         }
     }
 
     /// Ends sessions that are no longer needed.
     fn leave(&mut self) {
         let busy = !self.leaving.is_empty();
-        let links = &self.links;
-        self.left.retain(|(socket, since)| {
+        let medium = &self.medium;
+        self.left.retain(|(card, since)| {
             let stays = busy || since.elapsed() < LINGER;
             if !stays {
-                links.leave(socket);
+                medium.leave(card);
             }
             stays
         });
@@ -217,18 +213,21 @@ impl Linking {
     fn unlink(
         &mut self,
         half: &Half,
-        of: Option<&Arc<Session>>,
+        of: Option<&Arc<dyn Session>>,
         why: &str,
         how: Loss,
         tell_other: bool,
     ) -> bool {
-        let Some(Linked { session, epoch, mut wires }) = half.unlink(of, why, how) else { return false };
+        let Some(Linked { session, epoch, mut wires, .. }) = half.unlink(of, why, how) else { return false };
         let connection = half.number();
+        if let Some(stand_ins) = session.stand_ins() {
+            stand_ins.leave(Link { connection, epoch });
+        }
         if let Wires::Client(wires) = &mut wires {
-            tell_panics(&session, (connection, epoch), wires);
+            tell_panics(&*session, (connection, epoch), wires);
         }
         if tell_other {
-            let _ = say(&session, &Words::Close { connection, epoch }, &[], &[]);
+            let _ = session.say(&Words::Close { connection, epoch }, &[], &[]);
         }
         match wires {
             _ if session.is_lost() => {}
@@ -244,24 +243,24 @@ impl Linking {
     }
 
     /// Keeps the frames that the reader of a removed link still holds; only for a limited number of links.
-    fn keep_lent(&mut self, session: Arc<Session>, pools: Arc<RemotePools>) {
-        let same = |(over, _): &(Arc<Session>, _)| Arc::ptr_eq(over, &session);
-        if self.lent.iter().filter(|kept| same(kept)).count() >= MOST_LENT
-            && let Some(oldest) = self.lent.iter().position(same)
+    fn keep_lent(&mut self, session: Arc<dyn Session>, pools: Arc<RemotePools>) {
+        let of = |(over, _): &(Arc<dyn Session>, _)| same(over, &session);
+        if self.lent.iter().filter(|kept| of(kept)).count() >= MOST_LENT
+            && let Some(oldest) = self.lent.iter().position(of)
         {
             self.lent.remove(oldest);
         }
         self.lent.push((session, pools));
     }
 
-    fn met(&mut self, session: Arc<Session>) {
+    fn met(&mut self, session: Arc<dyn Session>) {
         self.sessions.retain(|s| !s.is_lost());
         self.sessions.push(session.clone());
-        for half in all(&self.halves).iter().filter(|half| half.is_with(&session)) {
+        for half in all(&self.halves).iter().filter(|half| half.is_with(&*session)) {
             match half.role {
                 Role::Client => self.open(half),
                 Role::Server => {
-                    let _ = say(&session, &Words::Offered { connection: half.number() }, &[], &[]);
+                    let _ = session.say(&Words::Offered { connection: half.number() }, &[], &[]);
                 }
             }
         }
@@ -269,17 +268,17 @@ impl Linking {
 
     /// Asks the server's process for the memory, if there is a session with it that was not asked.
     fn open(&self, half: &Half) {
-        let Some(session) = self.links.session(&half.card.socket) else {
-            if let Some(why) = self.links.refused(&half.card.socket) {
+        let Some(session) = self.medium.session(&half.card) else {
+            if let Some(why) = self.medium.refused(&half.card) {
                 half.fail(format!("process {} and this one do not come together: {why}", half.other()), true);
             }
             return;
         };
-        if !half.is_with(&session) {
+        if !half.is_with(&*session) {
             let why = "another run of it listens there than the one this connection was made with: the GCM has to be asked";
             return half.fail(why.into(), false);
         }
-        if !half.may_ask(&session) {
+        if !half.may_ask(&*session) {
             return;
         }
         let hash = match half.terms(false) {
@@ -288,20 +287,20 @@ impl Linking {
         };
         let code = (half.same_class)().and_then(|own| code_of(&own.info));
         let words = Words::Open { connection: half.number(), hash, code };
-        match say(&session, &words, &[], &[]) {
-            Ok(()) => half.asked(Some(&session)),
+        match session.say(&words, &[], &[]) {
+            Ok(()) => half.asked(Some(&*session)),
             Err(why) => half.fail(why, false),
         }
     }
 
-    fn lost(&mut self, session: &Arc<Session>, why: &str) {
-        self.sessions.retain(|s| !Arc::ptr_eq(s, session));
-        for (_, server) in self.leaving.extract_if(.., |(over, _)| Arc::ptr_eq(over, session)) {
+    fn lost(&mut self, session: &Arc<dyn Session>, why: &str) {
+        self.sessions.retain(|s| !same(s, session));
+        for (_, server) in self.leaving.extract_if(.., |(over, _)| same(over, session)) {
             if let Some(server) = server.upgrade() {
                 server.lose();
             }
         }
-        let why_not = format!("process {}: {why}", session.peer().process);
+        let why_not = format!("process {}: {why}", session.process());
         let unlink =
             |half: Arc<Half>| half.unlink(Some(session), &why_not, Loss::Peer).map(|cut| (half, cut));
         let cut: Vec<_> = all(&self.halves).into_iter().filter_map(unlink).collect();
@@ -313,7 +312,7 @@ impl Linking {
         drop(cut);
     }
 
-    fn said(&mut self, session: &Arc<Session>, mut message: Message) {
+    fn said(&mut self, session: &Arc<dyn Session>, mut message: Message) {
         let bytes = std::mem::take(&mut message.bytes);
         let (words, behind) = match Words::decode(&bytes) {
             Ok(said) => said,
@@ -321,11 +320,11 @@ impl Linking {
         };
         let connection = words.connection();
         // Only the process of the other end, in the run that is meant, may send messages about a connection.
-        let half = locked(&self.halves).get(&connection).filter(|half| half.is_with(session)).cloned();
+        let half = locked(&self.halves).get(&connection).filter(|half| half.is_with(&**session)).cloned();
         let Some(half) = half else {
             if let Words::Open { .. } = words {
                 let why = format!("connection {connection} is not known there yet");
-                let _ = say(session, &Words::Declined { connection, why, later: true }, &[], &[]);
+                let _ = session.say(&Words::Declined { connection, why, later: true }, &[], &[]);
             }
             return;
         };
@@ -346,7 +345,7 @@ impl Linking {
     /// Handles what the server's process says to a client here; what only a client says is ignored.
     fn said_by_server(
         &mut self,
-        session: &Arc<Session>,
+        session: &Arc<dyn Session>,
         half: &Arc<Half>,
         words: Words,
         behind: &[u8],
@@ -355,7 +354,7 @@ impl Linking {
         match words {
             Words::Offered { .. } => self.open(half),
             Words::Opened { epoch, rows, pools, .. } => {
-                self.opened(session, half, (epoch, rows, &pools), message);
+                self.opened(session, half, (epoch, rows, &pools), (behind, message));
             }
             Words::Declined { why, later, .. } => {
                 half.asked(None);
@@ -383,7 +382,7 @@ impl Linking {
     }
 
     /// Handles what the client's process says to a server here; what only a server says is ignored.
-    fn said_by_client(&mut self, session: &Arc<Session>, half: &Arc<Half>, words: Words, behind: &[u8]) {
+    fn said_by_client(&mut self, session: &Arc<dyn Session>, half: &Arc<Half>, words: Words, behind: &[u8]) {
         match words {
             Words::Open { hash, code, .. } => self.opens(session, half, hash, code),
             Words::Panicked { epoch, count, .. } => {
@@ -407,11 +406,11 @@ impl Linking {
     }
 
     /// Handles the request of the client's process for the memory.
-    fn opens(&mut self, session: &Arc<Session>, half: &Arc<Half>, hash: u64, code: Option<String>) {
+    fn opens(&mut self, session: &Arc<dyn Session>, half: &Arc<Half>, hash: u64, code: Option<String>) {
         let connection = half.number();
         let decline = |why: String| {
             half.fail(why.clone(), false);
-            let _ = say(session, &Words::Declined { connection, why, later: false }, &[], &[]);
+            let _ = session.say(&Words::Declined { connection, why, later: false }, &[], &[]);
         };
         let (_, terms) = match half.terms(false) {
             Ok(both) => both,
@@ -429,6 +428,8 @@ impl Linking {
         }
         // A client that asks again has lost its end.
         self.unlink(half, None, "its client asked anew", Loss::Cut, true);
+        // Rows are memory, and stay on their machine.
+        let code = code.filter(|_| session.stand_ins().is_none());
         let rows = rows_for(half, code);
         let (set, terms) = match half.terms(rows.is_some()) {
             Ok(both) => both,
@@ -436,13 +437,20 @@ impl Linking {
         };
         self.epoch = os::now_ns().max(self.epoch + 1);
         let epoch = self.epoch;
-        let offer = match Offer::make(&terms.way, Agreed { hash: terms.hash, epoch }, &self.todos.bell) {
+        let mut offer = match Offer::make(&terms.way, Agreed { hash: terms.hash, epoch }, &self.todos.bell) {
             Ok(offer) => offer,
             Err(e) => return decline(format!("no memory for it: {e}")),
         };
         let memory = match offer.fd() {
             Ok(fd) => fd,
             Err(e) => return decline(e.to_string()),
+        };
+        let agreed = Agreed { hash: terms.hash, epoch };
+        let stand_ins = session.stand_ins();
+        let stand_in = stand_ins.map(|all| all.for_client(&mut offer, &terms.way, &set.ports, agreed));
+        let stand_in = match stand_in.transpose() {
+            Ok(stand_in) => stand_in,
+            Err(why) => return decline(why),
         };
         offer.expect_pools(&terms.way, &set);
         let (rows, rows_file) = rows.unzip();
@@ -456,27 +464,34 @@ impl Linking {
         };
         let Untold { pools, files, told } = Untold::of(&wires);
         Untold::note(told, &mut wires);
-        half.link(session, epoch, Wires::Server(wires));
+        half.link(session, epoch, Wires::Server(wires), stand_in.clone());
         let rows = rows_file.is_some();
         let files: Vec<OwnedFd> = std::iter::once(memory).chain(rows_file).chain(files).collect();
-        if let Err(why) = say(session, &Words::Opened { connection, epoch, rows, pools }, &[], &files) {
+        let state = stand_in.as_ref().map(|stand_in| stand_in.state()).unwrap_or_default();
+        if let Some((all, stand_in)) = stand_ins.zip(stand_in) {
+            all.add(Link { connection, epoch }, stand_in);
+        }
+        if let Err(why) = session.say(&Words::Opened { connection, epoch, rows, pools }, &state, &files) {
             self.unlink(half, None, &why, Loss::Cut, false);
-            let _ = say(session, &Words::Declined { connection, why, later: true }, &[], &[]);
+            let _ = session.say(&Words::Declined { connection, why, later: true }, &[], &[]);
         }
     }
 
     /// Handles the memory that the server's process gave.
     fn opened(
         &mut self,
-        session: &Arc<Session>,
+        session: &Arc<dyn Session>,
         half: &Arc<Half>,
         (epoch, rows, pools): (u64, bool, &[Pool]),
-        message: Message,
+        (state, message): (&[u8], Message),
     ) {
         let connection = half.number();
         half.asked(None);
         self.unlink(half, None, "its server opened it anew", Loss::Cut, false);
         let link = || -> Result<(), String> {
+            if let Some(stand_ins) = session.stand_ins() {
+                return Self::open_apart(session, stand_ins, half, epoch, state);
+            }
             all_came(&message)?;
             let mut files = message.files.into_iter();
             let memory = files.next().ok_or("no memory came along")?;
@@ -492,24 +507,58 @@ impl Linking {
             let views = RemoteViews::new(terms.way.header_bytes());
             map(&views, pools, files)?;
             let wires = ClientWires::connect(
-                (memory, Agreed { hash: terms.hash, epoch }),
+                (memory, Agreed { hash: terms.hash, epoch }, None),
                 &terms.way,
                 &half.connection,
                 (&half.here, &set),
                 (&half.theirs, Asks::new(session, connection, epoch), own),
                 views,
             );
-            half.link(session, epoch, Wires::Client(wires.map_err(|e| e.to_string())?));
+            half.link(session, epoch, Wires::Client(wires.map_err(|e| e.to_string())?), None);
             Ok(())
         };
         if let Err(why) = link() {
             half.fail(why, true);
-            let _ = say(session, &Words::Close { connection, epoch }, &[], &[]);
+            let _ = session.say(&Words::Close { connection, epoch }, &[], &[]);
         }
     }
 
+    /// Links a client to whoever stands in for its server here.
+    fn open_apart(
+        session: &Arc<dyn Session>,
+        stand_ins: &StandIns,
+        half: &Arc<Half>,
+        epoch: u64,
+        state: &[u8],
+    ) -> Result<(), String> {
+        let connection = half.number();
+        let (set, terms) = half.terms(false).map_err(|refusal| refusal.to_string())?;
+        let agreed = Agreed { hash: terms.hash, epoch };
+        let Placed { stand_in, memory, views } = stand_ins.for_server(&terms.way, agreed, state)?;
+        let wires = ClientWires::connect(
+            (memory, agreed, Some(stand_ins.bell().clone())),
+            &terms.way,
+            &half.connection,
+            (&half.here, &set),
+            (&half.theirs, Asks::new(session, connection, epoch), None),
+            views,
+        );
+        let wires = Wires::Client(wires.map_err(|e| e.to_string())?);
+        let link = Link { connection, epoch };
+        half.link(session, epoch, wires, Some(stand_in.clone()));
+        stand_ins.add(link, stand_in);
+        stand_ins.ready(link)
+    }
+
     /// Handles the pools that the server's process announced.
-    fn pools(&mut self, session: &Arc<Session>, half: &Half, epoch: u64, pools: &[Pool], message: Message) {
+    fn pools(
+        &mut self,
+        session: &Arc<dyn Session>,
+        half: &Half,
+        epoch: u64,
+        pools: &[Pool],
+        message: Message,
+    ) {
         let parts = half.with_wires(session, epoch, |wires| match wires {
             Wires::Client(ClientWires::Input { views, bell, .. }) => Some((views.clone(), bell.clone())),
             _ => None,
@@ -541,14 +590,15 @@ impl Linking {
     fn look_at_frames(&mut self) {
         for half in all(&self.halves) {
             let (connection, mut stage) = (half.number(), half.stage());
-            let Some(Linked { session, epoch, wires: Wires::Server(wires) }) = &mut stage.linked else {
+            let Some(Linked { session, epoch, wires: Wires::Server(wires), .. }) = &mut stage.linked else {
                 continue;
             };
             wires.collect();
             let (session, overflowed) = (session.clone(), wires.has_overflowed());
             let Untold { pools, files, told } = Untold::of(wires);
-            if !pools.is_empty() {
-                match say(&session, &Words::Pools { connection, epoch: *epoch, pools }, &[], &files) {
+            // A stand-in finds the pools itself.
+            if !pools.is_empty() && session.stand_ins().is_none() {
+                match session.say(&Words::Pools { connection, epoch: *epoch, pools }, &[], &files) {
                     Ok(()) => Untold::note(told, wires),
                     Err(why) => {
                         log::debug!("connection {connection}: its client is told of a pool later: {why}")
@@ -558,7 +608,7 @@ impl Linking {
             drop(stage);
             if overflowed {
                 self.unlink(&half, None, "its frames came from too many pools", Loss::Cut, true);
-                let _ = say(&session, &Words::Offered { connection }, &[], &[]);
+                let _ = session.say(&Words::Offered { connection }, &[], &[]);
             }
         }
     }
@@ -572,15 +622,15 @@ impl Linking {
         self.told_failures = Instant::now();
         for half in all(&self.halves) {
             let (connection, mut stage) = (half.number(), half.stage());
-            let Some(Linked { session, epoch, wires }) = &mut stage.linked else { continue };
+            let Some(Linked { session, epoch, wires, .. }) = &mut stage.linked else { continue };
             match wires {
                 Wires::Server(wires) => {
                     if let Some((failed, unexecuted)) = wires.untold_failures() {
                         let words = Words::Failures { connection, epoch: *epoch, failed, unexecuted };
-                        let _ = say(session, &words, &[], &[]);
+                        let _ = session.say(&words, &[], &[]);
                     }
                 }
-                Wires::Client(wires) => tell_panics(session, (connection, *epoch), wires),
+                Wires::Client(wires) => tell_panics(&**session, (connection, *epoch), wires),
             }
         }
     }

@@ -4,74 +4,81 @@
 //! `trocar-remote` (`linking.rs`) links and unlinks. The thread of the sessions never waits for it.
 
 use std::io;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 use trocar_lcm_api::{HalfReport, LinkDetail};
-use trocar_links::{Card, Handler, Links, Lost, Message, Session};
+use trocar_links::Card;
 use trocar_model::ComponentId;
 use trocar_rt::house;
 
 use super::super::loss::Loss;
 use super::half::Half;
+use super::lines::{self, Afar};
 use super::linking::Linking;
-use super::todo::{Halves, Todo, Todos, all, locked};
+use super::medium::Medium;
+use super::memory;
+use super::todo::{Halves, Teller, Todo, Todos, all, locked};
 
-/// All connections of this process to others.
+/// All connections of this process to others over one medium.
 pub(crate) struct Remote {
-    links: Arc<Links>,
+    medium: Arc<dyn Medium>,
     halves: Halves,
     todos: Arc<Todos>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// Handler on the thread of the sessions.
-struct Teller {
-    halves: Halves,
-    todos: Arc<Todos>,
-}
-
-impl Handler for Teller {
-    fn met(&mut self, session: &Arc<Session>) {
-        self.todos.push(Todo::Met(session.clone()));
-    }
-
-    fn said(&mut self, session: &Arc<Session>, message: Message) {
-        self.todos.push(Todo::Said(session.clone(), message));
-    }
-
-    fn lost(&mut self, session: &Arc<Session>, why: &Lost) {
-        all(&self.halves).iter().for_each(|half| half.lose(session));
-        self.todos.push(Todo::Lost(session.clone(), why.to_string()));
-    }
-}
-
 impl Remote {
-    /// Listens for other processes at `socket`; `news` gets the state of each half.
+    /// Listens for other processes of this machine at the socket of the card; `news` gets the state of each
+    /// half.
     ///
     /// # Errors
     /// The socket cannot be made there, or the machine gives no more threads.
-    pub(crate) fn start(
-        process: &str,
-        socket: PathBuf,
+    pub(crate) fn in_memory(card: Card, news: impl Fn(HalfReport) + Send + 'static) -> io::Result<Remote> {
+        Self::over(|teller| memory::start(card, teller), news)
+    }
+
+    /// As [`Remote::in_memory`], for processes of other machines.
+    ///
+    /// # Errors
+    /// The address cannot be had, or the machine gives no more threads.
+    pub(crate) fn afar(
+        afar: Afar,
+        card: Card,
+        news: impl Fn(HalfReport) + Send + 'static,
+    ) -> io::Result<Remote> {
+        Self::over(|teller| lines::start(afar, card, teller), news)
+    }
+
+    fn over(
+        medium: impl FnOnce(Teller) -> io::Result<Arc<dyn Medium>>,
         news: impl Fn(HalfReport) + Send + 'static,
     ) -> io::Result<Remote> {
         let halves = Halves::default();
         let todos = Arc::new(Todos::default());
-        let teller = Teller { halves: halves.clone(), todos: todos.clone() };
-        let links = Arc::new(Links::start(Card::own(process, socket)?, teller)?);
-        let linking = Linking::new(links.clone(), halves.clone(), todos.clone(), news);
+        let medium = medium(Teller { halves: halves.clone(), todos: todos.clone() })?;
+        let linking = Linking::new(medium.clone(), halves.clone(), todos.clone(), news);
         let thread =
             house::spawn(std::thread::Builder::new().name("trocar-remote".into()), move || linking.run())?;
-        Ok(Remote { links, halves, todos, thread: Mutex::new(Some(thread)) })
+        Ok(Remote { medium, halves, todos, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// Name of the carrier.
+    pub(crate) fn name(&self) -> &'static str {
+        self.medium.name()
+    }
+
+    /// # Errors
+    /// The sentence why the process of this card cannot be reached.
+    pub(crate) fn reaches(&self, card: &Card) -> Result<(), String> {
+        self.medium.reaches(card)
     }
 
     /// Data by which other processes reach this one.
     pub(crate) fn card(&self) -> &Card {
-        self.links.card()
+        self.medium.card()
     }
 
     /// Links this half from now on whenever possible; it replaces another one of the same connection.
@@ -117,12 +124,12 @@ impl Remote {
             return "it was disconnected".into();
         };
         let why = half.stage().why.clone();
-        if why.is_empty() { half.unsaid(&self.links) } else { why }
+        if why.is_empty() { half.unsaid(&*self.medium) } else { why }
     }
 
     pub(crate) fn details(&self) -> Vec<LinkDetail> {
         let halves = self.halves().into_iter().map(|half| {
-            let HalfReport { end, proxy, .. } = half.report(|| half.unsaid(&self.links));
+            let HalfReport { end, proxy, .. } = half.report(|| half.unsaid(&*self.medium));
             LinkDetail { halves: proxy.map(|proxy| (end, proxy)).into_iter().collect(), ..half.detail() }
         });
         halves.collect()
@@ -130,7 +137,7 @@ impl Remote {
 
     /// State of each half.
     pub(crate) fn reports(&self) -> Vec<HalfReport> {
-        self.halves().iter().map(|half| half.report(|| half.unsaid(&self.links))).collect()
+        self.halves().iter().map(|half| half.report(|| half.unsaid(&*self.medium))).collect()
     }
 
     /// Cuts all and ends the threads.
@@ -142,7 +149,7 @@ impl Remote {
         {
             log::error!("the thread of the connections to other processes panicked");
         }
-        self.links.stop();
+        self.medium.stop();
     }
 }
 

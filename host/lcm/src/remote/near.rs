@@ -22,9 +22,9 @@ use super::super::described::PortSet;
 use super::super::ends::{Here, Joined};
 use super::super::loss::Loss;
 use super::super::passage::{passing, target};
-use super::NAME;
 use super::asks::Asks;
 use super::client::ClientWires;
+use super::memory::NAME;
 use super::missed::Missed;
 use super::server::{Offer, Offered, ServerWires};
 use super::serving::QuestionQueue;
@@ -188,8 +188,14 @@ impl Pair {
         let views = RemoteViews::new(way.header_bytes());
         let nobody = Asks::of_nobody(connection.id.0, epoch);
         let ports = (&*from.ports, nobody, None);
-        let at_client =
-            ClientWires::connect((memory, agreed), &way, connection, (client, to), ports, views.clone());
+        let at_client = ClientWires::connect(
+            (memory, agreed, None),
+            &way,
+            connection,
+            (client, to),
+            ports,
+            views.clone(),
+        );
         let at_client = match at_client {
             Ok(wires) => wires,
             Err(e) => {

@@ -5,10 +5,10 @@
 
 use std::os::fd::OwnedFd;
 
-use trocar_links::Message;
 use trocar_rt::pool::PoolFile;
 use trocar_rt::stream::RemoteViews;
 
+use super::medium::Message;
 use super::server::ServerWires;
 use super::words::Pool;
 

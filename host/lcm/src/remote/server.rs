@@ -31,8 +31,12 @@ use super::terms::{Reading, Way, commands, size};
 
 /// The server's memory, before the client has it.
 pub(super) enum Offer {
-    Output { stream: Stream<StreamWriter>, pools: Arc<RemotePools> },
-    Calls(Box<ServedCalls>),
+    Output {
+        stream: Stream<StreamWriter>,
+        pools: Arc<RemotePools>,
+    },
+    /// With the bell of whoever stands in for the client, rung when something is shown.
+    Calls(Box<ServedCalls>, Option<Arc<Waker>>),
 }
 
 /// The server's wires.
@@ -87,16 +91,28 @@ impl Offer {
                 let pools = RemotePools::ringing(bell.clone());
                 Offer::Output { stream: Stream::<StreamWriter>::create(*shape, agreed, &pools)?, pools }
             }
-            Way::Calls { shape, .. } => Offer::Calls(Box::new(ServedCalls::create(shape, agreed)?)),
+            Way::Calls { shape, .. } => Offer::Calls(Box::new(ServedCalls::create(shape, agreed)?), None),
         })
     }
 
     pub(super) fn fd(&self) -> io::Result<OwnedFd> {
         let fd = match self {
             Offer::Output { stream, .. } => stream.fd(),
-            Offer::Calls(calls) => calls.fd(),
+            Offer::Calls(calls, _) => calls.fd(),
         };
         fd.ok_or_else(|| io::Error::other("memory without a file"))?.try_clone_to_owned()
+    }
+
+    /// Rings this bell, in place of that in the memory, whenever there is something for the client.
+    pub(super) fn ring(&mut self, bell: &Arc<Waker>) {
+        match self {
+            Offer::Output { stream, .. } => stream.for_reader = bell.clone(),
+            Offer::Calls(calls, shows) => {
+                calls.for_client = bell.clone();
+                calls.replies.ringing(bell.clone());
+                *shows = Some(bell.clone());
+            }
+        }
     }
 
     /// Gives the pools of the output itself their places.
@@ -188,15 +204,15 @@ impl ServerWires {
                 here.instance.reclaim();
                 Ok(ServerWires::Output { output: cell, stats, first, pools, told: 0, shape: Shape::of(ty) })
             }
-            (Offer::Calls(calls), Way::Calls { binding, .. }) => {
-                Self::serve(*calls, binding, connection, (here, set), rows, questions)
+            (Offer::Calls(calls, shows), Way::Calls { binding, .. }) => {
+                Self::serve((*calls, shows), binding, connection, (here, set), rows, questions)
             }
             _ => Err(gone()),
         }
     }
 
     fn serve(
-        calls: ServedCalls,
+        (calls, shows): (ServedCalls, Option<Arc<Waker>>),
         binding: &Binding,
         connection: &Connection,
         (here, set): (&Here, &PortSet),
@@ -207,7 +223,7 @@ impl ServerWires {
         here.executor.add_bell(calls.for_server.clone(), server.core.clone()).map_err(io::Error::other)?;
         let bound = Bound { set, all: commands(&set.ports), binding, shows_rows: rows.is_some() };
         let shown = bound.shown(calls.reads.into_iter().zip(calls.whys));
-        let face = Face::new(calls.server, shown, bound.computed_there(calls.own_reads), rows);
+        let face = Face::new(calls.server, shown, bound.computed_there(calls.own_reads), rows, shows);
         let questions = questions(bound.served());
         let commands_in = Inbox::remote_commands(
             calls.commands,

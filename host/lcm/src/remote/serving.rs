@@ -3,16 +3,15 @@
 //! Invariant: a read that does not return holds up the questions of its own connection only, and those run
 //! into their deadlines.
 
-use std::os::fd::BorrowedFd;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock, Weak};
 
-use trocar_links::Session;
 use trocar_plugin_api::abi::{INVALID_ARGUMENT, NOT_ACTIVE};
 use trocar_rt::{house, os};
 
 use super::super::boundary::{ERR_BYTES, RangeCheck, Reader, read_published};
 use super::super::instance::Instance;
+use super::medium::Session;
 use super::words::Words;
 
 /// Most questions that may wait.
@@ -53,7 +52,7 @@ impl QuestionQueue {
 
     pub(super) fn open(
         server: &Arc<Instance>,
-        session: &Arc<Session>,
+        session: &Arc<dyn Session>,
         (connection, epoch): (u64, u64),
         served: Vec<Served>,
     ) -> QuestionQueue {
@@ -86,7 +85,7 @@ impl QuestionQueue {
 
 struct Clerk {
     server: Weak<Instance>,
-    session: Arc<Session>,
+    session: Arc<dyn Session>,
     connection: u64,
     epoch: u64,
     served: Vec<Served>,
@@ -129,6 +128,6 @@ impl Clerk {
         };
         value.extend_from_slice(&text[..text_bytes]);
         // A failure needs no answer: the caller has its deadline.
-        let _ = self.session.send(&words.encode(&value), &[] as &[BorrowedFd<'_>]);
+        let _ = self.session.say(&words, &value, &[]);
     }
 }

@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::oneshot;
-use trocar_links::{Message, Session};
 use trocar_rt::wake::Waker;
 
 use super::super::loss::Loss;
 use super::half::Half;
+use super::medium::{Message, Session};
 
 /// The halves by the number of their connection.
 pub(super) type Halves = Arc<Mutex<BTreeMap<u64, Arc<Half>>>>;
@@ -25,9 +25,9 @@ pub(super) fn all(halves: &Halves) -> Vec<Arc<Half>> {
 }
 
 pub(super) enum Todo {
-    Met(Arc<Session>),
-    Said(Arc<Session>, Message),
-    Lost(Arc<Session>, String),
+    Met(Arc<dyn Session>),
+    Said(Arc<dyn Session>, Message),
+    Lost(Arc<dyn Session>, String),
     /// The half is in the list, and replaced this other one there.
     Added(Arc<Half>, Option<Arc<Half>>),
     /// The half is not in the list any more.
@@ -55,5 +55,27 @@ impl Todos {
 
     pub(super) fn next(&self) -> Option<Todo> {
         self.queue().pop_front()
+    }
+}
+
+/// Tells `trocar-remote` of what comes, on the threads of the sessions.
+#[derive(Clone)]
+pub(super) struct Teller {
+    pub(super) halves: Halves,
+    pub(super) todos: Arc<Todos>,
+}
+
+impl Teller {
+    pub(super) fn met(&self, session: Arc<dyn Session>) {
+        self.todos.push(Todo::Met(session));
+    }
+
+    pub(super) fn said(&self, session: Arc<dyn Session>, message: Message) {
+        self.todos.push(Todo::Said(session, message));
+    }
+
+    pub(super) fn lost(&self, session: Arc<dyn Session>, why: String) {
+        all(&self.halves).iter().for_each(|half| half.lose(&session));
+        self.todos.push(Todo::Lost(session, why));
     }
 }

@@ -8,7 +8,7 @@ use super::host_of;
 use crate::refusal::brief;
 use crate::{ComponentId, Connection, ExecutionModel, Refusal, SystemGraph};
 
-const KNOWN: [&str; 3] = ["inline", "heap", "memfd"];
+const KNOWN: [&str; 4] = ["inline", "heap", "memfd", "net"];
 
 /// Refuses a carrier the connection was pinned to and cannot have; `what` was asked.
 pub(super) fn check(graph: &SystemGraph, what: &str, connection: &Connection) -> Result<(), Refusal> {
@@ -36,7 +36,7 @@ fn possible(graph: &SystemGraph, c: &Connection) -> (&'static [&'static str], St
     let (client, server) = (&c.client.component, &c.server.component);
     if !c.is_near() {
         let why = format!("the ends are in two processes, {} and {}", server.process, client.process);
-        return (&["memfd"], why);
+        return (&["memfd", "net"], why);
     }
     let stream = is_stream(graph, c);
     let passive =

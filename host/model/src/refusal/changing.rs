@@ -117,8 +117,8 @@ macro_rules! changing {
     Unreachable { client: PortId, server: PortId, why: String } => {
         code: Unavailable, reason: "UNREACHABLE",
         sentence: format!("`{client}` cannot be connected to `{server}` in another process: {why}"),
-        help: "Look at both processes with `trocar ls`; they must run on one machine, as one user, of one \
-               release.",
+        help: "Look at both processes with `trocar ls`; on one machine they must run as one user, of one \
+               release; between machines each needs an identity (docs/MACHINES.md).",
         metadata: ends(client, server).put("why", why),
         example: Unreachable {
             client: port("gui/viewer/image"),

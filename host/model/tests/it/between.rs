@@ -10,7 +10,7 @@ fn pinned(client: &str, server: &str, carrier: &str) -> Request {
 }
 
 fn possible(graph: &SystemGraph, client: &str, server: &str) -> Vec<&'static str> {
-    let all = ["inline", "heap", "memfd"];
+    let all = ["inline", "heap", "memfd", "net"];
     all.into_iter().filter(|carrier| plan(graph, &pinned(client, server, carrier)).is_ok()).collect()
 }
 
@@ -25,7 +25,7 @@ fn a_carrier_is_possible_by_where_the_ends_run() {
             create("host/controller2", "controller"),
         ],
     );
-    assert_eq!(possible(&graph, "gui/log/force", "host/robot/force"), ["memfd"]);
+    assert_eq!(possible(&graph, "gui/log/force", "host/robot/force"), ["memfd", "net"]);
     assert_eq!(possible(&graph, "host/log2/force", "host/robot/force"), ["heap", "memfd"]);
     assert_eq!(possible(&graph, "host/controller2/robot", "host/robot/arm"), ["heap", "memfd"]);
     graph.components.get_mut(&id("host/robot")).unwrap().execution.model = Some(ExecutionModel::None);

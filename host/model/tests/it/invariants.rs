@@ -109,7 +109,7 @@ fn any_targets() -> impl Strategy<Value = Vec<Target>> {
 }
 
 fn any_options() -> impl Strategy<Value = ConnectOptions> {
-    let carrier = prop::sample::select(vec!["", "", "", "inline", "heap", "memfd", "x"]);
+    let carrier = prop::sample::select(vec!["", "", "", "inline", "heap", "memfd", "net", "x"]);
     (any::<bool>(), prop::option::weighted(0.1, 0usize..4), carrier).prop_map(
         |(replace, mailbox, carrier)| ConnectOptions {
             replace,
@@ -193,7 +193,7 @@ fn check(graph: &SystemGraph) -> Result<(), TestCaseError> {
         prop_assert!(clients.insert(connection.client.clone()), "{} has two sources", connection.client);
         let pinned = connection.options.carrier.as_str();
         let fits: &[&str] =
-            if connection.is_near() { &["", "inline", "heap", "memfd"] } else { &["", "memfd"] };
+            if connection.is_near() { &["", "inline", "heap", "memfd"] } else { &["", "memfd", "net"] };
         prop_assert!(fits.contains(&pinned), "{:?} cannot have its carrier", connection);
     }
     for (id, component) in &graph.components {

@@ -270,6 +270,11 @@ pub(crate) fn link(d: LinkDetail) -> v1::Connection {
         unexecuted: d.unexecuted,
         client_wake: d.client_wake.into(),
         server_wake: d.server_wake.into(),
+        sent: d.sent,
+        came: d.came,
+        round_trip_ns: d.round_trip_ns,
+        clock_offset_ns: d.clock_offset_ns,
+        clock_bound_ns: d.clock_bound_ns,
         proxies: d.halves.iter().map(|(end, half)| proxy(*end, half)).collect(),
         ..Default::default()
     }
@@ -292,6 +297,11 @@ pub(crate) fn link_in(c: v1::Connection) -> Result<LinkDetail, Refusal> {
         unexecuted: c.unexecuted,
         client_wake: wake_in(&c.client_wake)?,
         server_wake: wake_in(&c.server_wake)?,
+        sent: c.sent,
+        came: c.came,
+        round_trip_ns: c.round_trip_ns,
+        clock_offset_ns: c.clock_offset_ns,
+        clock_bound_ns: c.clock_bound_ns,
         halves: c.proxies.into_iter().map(proxy_in).collect::<Result<_, _>>()?,
     })
 }

@@ -213,6 +213,7 @@ fn card_out(card: &Card) -> v1::Card {
         uid: card.uid,
         socket: card.socket.to_string_lossy().into_owned(),
         layout: card.layout,
+        net: card.net.clone(),
     }
 }
 
@@ -224,6 +225,7 @@ fn card_in(card: v1::Card) -> Card {
         uid: card.uid,
         socket: card.socket.into(),
         layout: card.layout,
+        net: card.net,
     }
 }
 

@@ -79,7 +79,7 @@ pub fn a_call_from_a_step_runs_inline_or_would_block(way: &Way) {
     }
     // Reads wait for nobody, so a step may call them.
     assert_eq!(lab.perform_in_step(Call::call(Function::Value, 0.0)).only(), Outcome::Executed);
-    let asked = way.reach() == Reach::Apart;
+    let asked = way.reach().asks();
     let qualified = if asked { Outcome::WouldBlock } else { Outcome::Executed };
     assert_eq!(lab.perform_in_step(Call::call(Function::Scaled, 1.0)).only(), qualified);
     let executed = u64::from(way.deployment.inline());
@@ -148,6 +148,6 @@ pub fn a_read_waits_for_nobody(way: &Way) {
         read(1);
     } else {
         // What has to be asked for in another process is asked for from a thread that may wait.
-        lab.occupied(|| read(u32::from(way.reach() == Reach::Apart)));
+        lab.occupied(|| read(u32::from(way.reach().asks())));
     }
 }

@@ -8,7 +8,7 @@ use trocar::model::{ConnectOptions, Execution, ExecutionModel};
 use trocar_sdk::Outcome;
 
 use super::super::world::block_on;
-use super::super::{Call, Function, Lab, Way};
+use super::super::{Call, Function, Lab, Reach, Way};
 use super::commands::waiting;
 use crate::eventually;
 
@@ -55,7 +55,13 @@ pub fn events_that_find_a_full_queue_are_counted_and_told_to_who_emits(way: &Way
     assert_eq!(lab.perform(waiting(way, Function::Burst, 50.0)).only(), Outcome::Executed);
     lab.await_count("client", "ticks", |n| n == 4);
     assert_eq!(lab.count("client", "disorder"), 0, "what arrives is the beginning, in order");
-    assert_eq!(lab.count("server", "unheard"), 46, "emitting tells QUEUE_FULL");
+    let unheard = lab.count("server", "unheard");
+    if way.reach() == Reach::Machine {
+        // The queue on this machine is emptied meanwhile; the one on the other is not.
+        assert!(unheard <= 46, "{unheard}");
+    } else {
+        assert_eq!(unheard, 46, "emitting tells QUEUE_FULL");
+    }
     let dropped: u64 = lab.links().iter().map(|l| l.dropped).sum();
     assert_eq!(dropped, 46, "every loss is counted on the connection");
 }

@@ -45,7 +45,7 @@ fn sent(reach: Reach, situation: Situation) -> Fate {
         (Situation::NotActive, _) => Fate::NotActive,
         (Situation::AFullQueue, _) => Fate::QueueFull,
         // What waits to be run elsewhere has been answered; what becomes of it is counted.
-        (_, Reach::Queue | Reach::Process | Reach::Apart) => Fate::Queued,
+        (_, Reach::Queue | Reach::Process | Reach::Apart | Reach::Machine) => Fate::Queued,
         (Situation::Refusing | Situation::BegunAndPanics, Reach::Thread | Reach::Caller) => Fate::Failed,
         (Situation::Withdrawn, Reach::Thread) => Fate::Disabled,
         (Situation::AThreadOfItsOwn, Reach::Thread) => Fate::Queued,
@@ -64,22 +64,28 @@ fn finds_somebody_inside(situation: Situation, reach: Reach) -> bool {
 fn called(reach: Reach, situation: Situation) -> Fate {
     match (situation, reach) {
         // A step, and a command of whoever has a step, waits for no other thread.
-        (Situation::ACommand | Situation::AStep, Reach::Queue | Reach::Process | Reach::Apart) => {
-            Fate::WouldBlock
-        }
+        (
+            Situation::ACommand | Situation::AStep,
+            Reach::Queue | Reach::Process | Reach::Apart | Reach::Machine,
+        ) => Fate::WouldBlock,
         (
             Situation::ABusyServerFromACommand,
-            Reach::Queue | Reach::Process | Reach::Apart | Reach::Caller,
+            Reach::Queue | Reach::Process | Reach::Apart | Reach::Machine | Reach::Caller,
         ) => Fate::WouldBlock,
         // The thread that would run it waits for the very thread that calls.
         (Situation::AThreadOfItsOwn, Reach::Thread) => Fate::TooLate,
+        // What is on its way to another machine may have begun.
+        (Situation::ABusyServer, Reach::Machine) => Fate::StillRuns,
         (Situation::ABusyServer, _) => Fate::TooLate,
-        (Situation::AFullQueue, Reach::Queue | Reach::Process | Reach::Apart | Reach::Thread) => {
-            Fate::QueueFull
-        }
+        (
+            Situation::AFullQueue,
+            Reach::Queue | Reach::Process | Reach::Apart | Reach::Machine | Reach::Thread,
+        ) => Fate::QueueFull,
         // It waits for whoever is inside, not in a queue.
         (Situation::AFullQueue, Reach::Caller) => Fate::TooLate,
-        (Situation::BegunAndHeld, Reach::Queue | Reach::Process | Reach::Apart) => Fate::StillRuns,
+        (Situation::BegunAndHeld, Reach::Queue | Reach::Process | Reach::Apart | Reach::Machine) => {
+            Fate::StillRuns
+        }
         // What was begun is carried to its end, and its caller is told how it ended.
         (Situation::BegunAndCut | Situation::BegunAndStopped | Situation::BegunAndRemoved, _) => {
             Fate::Executed

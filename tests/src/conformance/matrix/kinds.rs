@@ -42,7 +42,7 @@ impl Kind {
     /// A read that a client whose process has not the server's class has to ask for.
     #[must_use]
     pub fn is_asked_for(self, reach: Reach) -> bool {
-        reach == Reach::Apart && self == Kind::QualifiedRead
+        reach.asks() && self == Kind::QualifiedRead
     }
 
     #[must_use]

@@ -69,6 +69,11 @@ pub const NEVER: &[Row] = &[
         "who runs it himself comes back with it; who waits for the shared thread is waited for by it, so it is never begun",
     ),
     (
+        &[Fate::TooLate],
+        |r, k, m| r == Reach::Machine && !k.reads() && m == Mode::Call,
+        "what was sent to another machine may have begun there",
+    ),
+    (
         &[Fate::QueueFull],
         |r, k, m| r == Reach::Caller && !k.reads() && m == Mode::Call,
         "a call to a server without a thread waits for the server, not in its queue",

@@ -96,6 +96,14 @@ fn call(kind: Kind, mode: Mode, x: f64) -> Call {
     }
 }
 
+/// What commands come to that find room in a queue nobody looks into.
+fn first_of(mode: Mode) -> Fate {
+    match mode {
+        Mode::Send => Fate::Queued,
+        Mode::Call => Fate::TooLate,
+    }
+}
+
 impl<'a> Stage<'a> {
     fn new(way: &'a Way, situation: Situation) -> Stage<'a> {
         let lab = match situation {
@@ -193,13 +201,39 @@ impl<'a> Stage<'a> {
                 }
             });
         }
+        if self.reach() == Reach::Machine {
+            let ask = || lab.perform(asked.times(2 * DEPTH + 1).from_threads(from));
+            return self.full_at_both_ends(kind, mode, ask);
+        }
         let mut all = self.busy(|| lab.perform(asked.times(DEPTH + 1).from_threads(from)));
-        let first = match (kind.reads(), mode) {
-            (true, _) => fate(self.reach(), self.situation, kind, mode),
-            (false, Mode::Send) => Fate::Queued,
-            (false, Mode::Call) => Fate::TooLate,
+        let first = match kind.reads() {
+            true => fate(self.reach(), self.situation, kind, mode),
+            false => first_of(mode),
         };
         all.take(first.outcome(), u64::from(DEPTH));
+        all
+    }
+
+    /// The same where each machine has a queue: as many again are taken, as soon as those before are there.
+    fn full_at_both_ends(&self, kind: Kind, mode: Mode, ask: impl FnOnce() -> Answer) -> Answer {
+        let mut all = self.busy(ask);
+        let (first, depth) = match kind.reads() {
+            true => (fate(self.reach(), self.situation, kind, mode), 2 * DEPTH),
+            false => (first_of(mode), DEPTH),
+        };
+        let taken = all.count(first.outcome());
+        assert!(
+            (u64::from(depth)..=u64::from(2 * DEPTH + 1)).contains(&taken),
+            "{kind:?}, {mode:?}: {all:?}"
+        );
+        if kind.reads() {
+            all.take(first.outcome(), taken - 1);
+            return all;
+        }
+        all.take(first.outcome(), taken);
+        all.take(Outcome::QueueFull, all.count(Outcome::QueueFull).saturating_sub(1));
+        // Those that are on their way may have begun.
+        all.may_still_run = 0;
         all
     }
 

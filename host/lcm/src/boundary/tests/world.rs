@@ -81,6 +81,7 @@ impl World {
             process: process.parse().unwrap(),
             classes: Some(Arc::new(Puppets)),
             links: None,
+            afar: None,
             lock_memory: false,
             allow_exec: false,
         };

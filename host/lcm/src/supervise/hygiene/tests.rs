@@ -43,6 +43,7 @@ async fn a_hung_thread_with_another_signal_mask_has_one_job_waiting_for_it_and_g
         process: Name::parse("hy_mask").unwrap(),
         classes: Some(Arc::new(PuppetClasses)),
         links: None,
+        afar: None,
         lock_memory: false,
         allow_exec: false,
     };
@@ -87,6 +88,7 @@ async fn masks_are_looked_at_in_turn_each_once_in_a_round() {
         process: Name::parse("hy_round").unwrap(),
         classes: Some(Arc::new(PuppetClasses)),
         links: None,
+        afar: None,
         lock_memory: false,
         allow_exec: false,
     };

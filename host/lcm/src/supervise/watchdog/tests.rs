@@ -40,6 +40,7 @@ async fn stopped(process: &str, count: usize) -> (Arc<LocalLcm>, Roster) {
         process: Name::parse(process).unwrap(),
         classes: Some(Arc::new(PuppetClasses)),
         links: None,
+        afar: None,
         lock_memory: false,
         allow_exec: false,
     };

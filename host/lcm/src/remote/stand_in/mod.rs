@@ -1,0 +1,189 @@
+//! Stand-ins: where the other end of a connection is on another machine, somebody here stands in for it.
+//!
+//! The end that is here is wired to memory as if the other process had it, too. In truth a stand-in has
+//! it: it takes what is put there to the other machine, where the stand-in for this end puts it into the
+//! memory there, and back. So the components, and all that is between them and that memory, are the same
+//! as between two processes of one machine. Invariant: whatever comes is checked for its length before
+//! it is put anywhere; how long a queue is, is decided here.
+
+mod client;
+mod codec;
+mod reader;
+mod server;
+mod writer;
+
+use std::os::fd::OwnedFd;
+use std::sync::Arc;
+
+use parking_lot::Mutex;
+use trocar_lcm_api::LinkDetail;
+use trocar_model::Ports;
+use trocar_net::line::{Clock, Line, Outbox};
+use trocar_rt::segment::Agreed;
+use trocar_rt::stream::RemoteViews;
+
+use super::super::passage::lane;
+use super::server::Offer;
+use super::terms::{Way, commands};
+pub(super) use codec::{Kind, Link, Take};
+
+/// Somebody who stands in for the other end of one connection.
+pub(super) trait StandIn: Send + Sync {
+    /// Takes in a message of the stand-in at the other end.
+    ///
+    /// # Errors
+    /// It is none it may send.
+    fn came(&self, kind: Kind, content: Take<'_>, clock: &Clock) -> Result<(), String>;
+
+    /// Appends what is to be sent now; true: there is more.
+    fn fill(&self, link: Link, out: &mut Outbox) -> bool;
+
+    /// What the other end is to know before it is ready.
+    fn state(&self) -> Vec<u8> {
+        Vec::new()
+    }
+
+    /// Corrects the figures of the end that is here by what happens between the two memories.
+    fn correct(&self, detail: &mut LinkDetail);
+
+    /// Tells whether nothing is under way that the end of the connection would cut off.
+    fn is_idle(&self) -> bool {
+        true
+    }
+}
+
+/// All stand-ins of one line.
+pub(super) struct StandIns {
+    line: Arc<Line>,
+    all: Mutex<Vec<Entry>>,
+}
+
+struct Entry {
+    link: Link,
+    stand_in: Arc<dyn StandIn>,
+    /// The connection is cut; calls under way are carried to their end.
+    leaving: bool,
+}
+
+/// A stand-in that has memory, and what the end that is here is wired to.
+pub(super) struct Placed {
+    pub(super) stand_in: Arc<dyn StandIn>,
+    /// The memory, for the client that is here.
+    pub(super) memory: OwnedFd,
+    /// Its view of pools.
+    pub(super) views: Arc<RemoteViews>,
+}
+
+impl StandIns {
+    pub(super) fn new(line: Arc<Line>) -> StandIns {
+        StandIns { line, all: Mutex::default() }
+    }
+
+    /// Stands in for the client of a server that is here, in the memory of its offer.
+    ///
+    /// # Errors
+    /// The sentence why that cannot be.
+    pub(super) fn for_client(
+        &self,
+        offer: &mut Offer,
+        way: &Way,
+        server: &Ports,
+        agreed: Agreed,
+    ) -> Result<Arc<dyn StandIn>, String> {
+        let bell = self.line.bell();
+        let memory = offer.fd().map_err(|e| e.to_string())?;
+        offer.ring(bell);
+        let stand_in: Arc<dyn StandIn> = match (offer, way) {
+            (Offer::Output { pools, .. }, Way::Stream { shape, .. }) => {
+                let views = RemoteViews::new(way.header_bytes());
+                Arc::new(reader::AbsentReader::open(memory, *shape, agreed, (pools.clone(), views))?)
+            }
+            (_, Way::Calls { binding, shape }) => {
+                let all = commands(server);
+                let bound = binding.functions.iter().enumerate();
+                let lanes = bound.map(|(index, (_, id))| lane(all[*id], index)).collect();
+                Arc::new(client::AbsentClient::open(memory, shape, agreed, (lanes, bell.clone()))?)
+            }
+            _ => return Err("the component's ports are others by now".into()),
+        };
+        Ok(stand_in)
+    }
+
+    /// Stands in for the server of a client that is here, in memory of its own; `state` is what the other
+    /// stand-in says the client is to know.
+    ///
+    /// # Errors
+    /// The sentence why that cannot be.
+    pub(super) fn for_server(&self, way: &Way, agreed: Agreed, state: &[u8]) -> Result<Placed, String> {
+        let bell = self.line.bell().clone();
+        let views = RemoteViews::new(way.header_bytes());
+        let (stand_in, memory): (Arc<dyn StandIn>, _) = match way {
+            Way::Stream { shape, depth, .. } => {
+                let (writer, memory) = writer::AbsentWriter::create(*shape, *depth, agreed, views.clone())
+                    .map_err(|e| e.to_string())?;
+                (Arc::new(writer), memory)
+            }
+            Way::Calls { shape, .. } => {
+                let (server, memory) =
+                    server::AbsentServer::create(shape, agreed, bell).map_err(|e| e.to_string())?;
+                (Arc::new(server), memory)
+            }
+        };
+        let mut state = Take::new(state);
+        while let Some((kind, content)) = state.message()? {
+            stand_in.came(kind, content, self.line.clock())?;
+        }
+        Ok(Placed { stand_in, memory, views })
+    }
+
+    /// The bell of whoever sends.
+    pub(super) fn bell(&self) -> &Arc<trocar_rt::wake::Waker> {
+        self.line.bell()
+    }
+
+    pub(super) fn add(&self, link: Link, stand_in: Arc<dyn StandIn>) {
+        self.all.lock().push(Entry { link, stand_in, leaving: false });
+        self.line.bell().notify();
+    }
+
+    /// Tells the other end that this one is ready: from now on it may send.
+    pub(super) fn ready(&self, link: Link) -> Result<(), String> {
+        let content = codec::content(link, |_| ());
+        self.line.say(Kind::Ready as u8, content).map_err(|e| e.to_string())
+    }
+
+    /// The connection was cut.
+    pub(super) fn leave(&self, link: Link) {
+        let mut all = self.all.lock();
+        all.iter_mut().filter(|entry| entry.link == link).for_each(|entry| entry.leaving = true);
+        drop(all);
+        self.line.bell().notify();
+    }
+
+    /// Takes in a message; one for a link that is gone says nothing any more.
+    pub(super) fn came(&self, kind: Kind, content: &[u8]) -> Result<(), String> {
+        let mut content = Take::new(content);
+        let link = Link { connection: content.u64()?, epoch: content.u64()? };
+        let found =
+            self.all.lock().iter().find(|entry| entry.link == link).map(|entry| entry.stand_in.clone());
+        found.map_or(Ok(()), |stand_in| stand_in.came(kind, content, self.line.clock()))
+    }
+
+    /// Tells a client's end of the line and the clocks at both ends.
+    pub(super) fn tell_of_line(&self, detail: &mut LinkDetail) {
+        let clock = self.line.clock();
+        detail.round_trip_ns = clock.round_trip_ns();
+        (detail.clock_offset_ns, detail.clock_bound_ns) = (clock.offset_ns(), clock.bound_ns());
+    }
+
+    /// Appends what is to be sent now; true: there is more.
+    pub(super) fn fill(&self, out: &mut Outbox) -> bool {
+        let mut all = self.all.lock();
+        let mut more = false;
+        all.retain(|entry| {
+            more |= entry.stand_in.fill(entry.link, out);
+            !(entry.leaving && entry.stand_in.is_idle())
+        });
+        more
+    }
+}

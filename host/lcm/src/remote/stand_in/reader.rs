@@ -1,0 +1,117 @@
+//! Stands in for the reader of an output that is here: takes its samples to the other machine.
+//!
+//! Invariant: samples are taken as fast as the line carries them, newest or in order as the connection's
+//! queue says; what the line does not carry in time is dropped in that queue, whole and counted.
+
+use std::os::fd::OwnedFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use parking_lot::Mutex;
+use trocar_lcm_api::LinkDetail;
+use trocar_net::line::{Clock, Outbox};
+use trocar_rt::pool::PoolFile;
+use trocar_rt::segment::{Agreed, Stream, StreamShape};
+use trocar_rt::stream::{Payload, RemotePools, RemoteViews, StreamReader};
+
+use super::codec::{message, put, put_short};
+use super::{Kind, Link, StandIn, Take};
+
+/// Bytes after which others of the line have their turn.
+const AT_ONCE: usize = 256 << 10;
+
+pub(super) struct AbsentReader {
+    /// The other end is there.
+    ready: AtomicBool,
+    frames: bool,
+    pools: Arc<RemotePools>,
+    views: Arc<RemoteViews>,
+    end: Mutex<End>,
+}
+
+struct End {
+    stream: Stream<StreamReader>,
+    /// Number of pools that are known here.
+    known: usize,
+}
+
+impl AbsentReader {
+    pub(super) fn open(
+        memory: OwnedFd,
+        shape: StreamShape,
+        agreed: Agreed,
+        (pools, views): (Arc<RemotePools>, Arc<RemoteViews>),
+    ) -> Result<AbsentReader, String> {
+        let stream =
+            Stream::<StreamReader>::open(memory, shape, agreed, &views).map_err(|e| e.to_string())?;
+        let end = Mutex::new(End { stream, known: 0 });
+        Ok(AbsentReader {
+            ready: AtomicBool::new(false),
+            frames: shape.payload == Payload::Frame,
+            pools,
+            views,
+            end,
+        })
+    }
+
+    /// Maps the pools whose frames may come.
+    fn know_pools(&self, known: &mut usize) {
+        while let Some(number) = self.pools.at(*known) {
+            // A pool that is gone already has no frames that could come.
+            if let Some(file) = PoolFile::numbered(number) {
+                // Out of files or of addresses: the next look may find some.
+                let Ok(fd) = file.fd().try_clone_to_owned() else { break };
+                let Ok(view) = PoolFile::open(fd, file.shape()) else { break };
+                self.views.know(*known, view);
+            }
+            *known += 1;
+        }
+    }
+}
+
+impl StandIn for AbsentReader {
+    fn came(&self, kind: Kind, _: Take<'_>, _: &Clock) -> Result<(), String> {
+        match kind {
+            Kind::Ready => self.ready.store(true, Ordering::Release),
+            other => return Err(format!("{other:?} of a reader")),
+        }
+        Ok(())
+    }
+
+    fn fill(&self, link: Link, out: &mut Outbox) -> bool {
+        if !self.ready.load(Ordering::Acquire) {
+            return false;
+        }
+        let mut end = self.end.lock();
+        let End { stream, known } = &mut *end;
+        self.know_pools(known);
+        let until = out.len() + AT_ONCE;
+        while out.len() < until {
+            let Some(sample) = stream.end.next() else { return false };
+            let kind = if self.frames { Kind::Frame } else { Kind::Sample };
+            message(out, link, kind, |content| {
+                put(content, [sample.meta.seq, sample.meta.stamp_ns, sample.meta.came_ns]);
+                if self.frames {
+                    put_short(content, [sample.data.len() as u32]);
+                }
+                content.extend_from_slice(sample.data);
+                content.extend_from_slice(sample.bytes);
+            });
+            if self.frames {
+                // Its slot is free again at once.
+                stream.end.release();
+            }
+        }
+        true
+    }
+
+    fn correct(&self, detail: &mut LinkDetail) {
+        // What the reader has seen, its own end tells.
+        (detail.passed, detail.bytes) = (0, 0);
+        let end = self.end.lock();
+        let stats = end.stream.end.stats();
+        // What still waits is lost with the writer.
+        let waits = if end.stream.end.has_writer() { stats.pushed.saturating_sub(stats.dropped) } else { 0 };
+        detail.sent = stats.taken.max(waits);
+    }
+}

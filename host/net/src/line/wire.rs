@@ -1,0 +1,279 @@
+//! One encrypted connection of bytes, and the messages in it.
+//!
+//! A message is its length (u32, little-endian, of what follows), its kind (one byte) and its content. Two
+//! threads use a connection: one sends, one receives. Invariant: no length of the other end's is made room
+//! for before it was compared with [`MOST_BYTES`].
+
+use std::io::{self, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::time::{Duration, Instant};
+
+use parking_lot::Mutex;
+use rustls::Connection;
+
+use crate::holder::Holder;
+use crate::tls::said;
+
+/// The longest message: a frame of a large camera fits.
+pub const MOST_BYTES: usize = 256 << 20;
+/// The longest message of a greeting.
+pub(super) const MOST_GREETING: usize = 4096;
+/// Bytes of length and kind.
+const HEAD: usize = 5;
+/// Bytes that are encrypted before the receiving thread may come in between.
+const AT_ONCE: usize = 64 << 10;
+
+/// Messages on their way out.
+#[derive(Debug, Default)]
+pub struct Outbox {
+    bytes: Vec<u8>,
+}
+
+impl Outbox {
+    /// Appends a message; `fill` appends its content.
+    pub fn message(&mut self, kind: u8, fill: impl FnOnce(&mut Vec<u8>)) {
+        let start = self.bytes.len();
+        self.bytes.extend_from_slice(&[0, 0, 0, 0, kind]);
+        fill(&mut self.bytes);
+        let length = (self.bytes.len() - start - 4) as u32;
+        self.bytes[start..start + 4].copy_from_slice(&length.to_le_bytes());
+    }
+
+    /// Bytes that wait to be sent.
+    pub fn len(&self) -> usize {
+        self.bytes.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        // One large frame does not stay for ever.
+        self.bytes.shrink_to(1 << 20);
+    }
+
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+/// Messages that came, as far as they are complete.
+#[derive(Debug, Default)]
+pub(super) struct Inbox {
+    bytes: Vec<u8>,
+    /// Bytes that were handed out.
+    done: usize,
+}
+
+impl Inbox {
+    /// The next complete message: its kind and content.
+    ///
+    /// # Errors
+    /// It would be longer than `most`, or has no kind.
+    pub(super) fn next(&mut self, most: usize) -> Result<Option<(u8, &[u8])>, String> {
+        let rest = self.bytes.len() - self.done;
+        let Some(length) = self.bytes[self.done..].first_chunk().map(|length| u32::from_le_bytes(*length))
+        else {
+            self.tidy();
+            return Ok(None);
+        };
+        let length = length as usize;
+        if length == 0 || length > most {
+            return Err(format!("a message of {length} bytes, where 1 to {most} are possible"));
+        }
+        if rest < HEAD - 1 + length {
+            self.tidy();
+            return Ok(None);
+        }
+        let start = self.done + HEAD - 1;
+        self.done = start + length;
+        Ok(Some((self.bytes[start], &self.bytes[start + 1..start + length])))
+    }
+
+    /// Moves what is not complete to the front.
+    fn tidy(&mut self) {
+        self.bytes.drain(..std::mem::take(&mut self.done));
+        self.bytes.shrink_to(1 << 20);
+    }
+}
+
+pub(super) struct Wire {
+    stream: TcpStream,
+    tls: Mutex<Connection>,
+}
+
+/// What came of one look at a connection.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Came {
+    Bytes,
+    Nothing,
+    End,
+}
+
+impl Wire {
+    /// Shows this side's certificate and looks at the other one's; returns whose it is.
+    ///
+    /// # Errors
+    /// The sentence why nothing comes of it.
+    pub(super) fn greeted(
+        stream: TcpStream,
+        tls: Connection,
+        until: Instant,
+    ) -> Result<(Wire, Holder, Inbox), String> {
+        stream.set_nodelay(true).map_err(|e| e.to_string())?;
+        let mut wire = Wire { stream, tls: Mutex::new(tls) };
+        let (mut room, mut inbox) = ([0; 4096], Inbox::default());
+        while wire.tls.get_mut().is_handshaking() {
+            wire.flush().map_err(|e| e.to_string())?;
+            if !wire.tls.get_mut().is_handshaking() {
+                break;
+            }
+            let n = wire.read(&mut room, until)?;
+            // A quick caller's greeting comes along with the end of its handshake.
+            wire.take_in(&room[..n], &mut inbox)?;
+        }
+        wire.flush().map_err(|e| e.to_string())?;
+        let certificates = wire.tls.get_mut().peer_certificates().unwrap_or_default();
+        let shown = certificates.first().ok_or("it shows no certificate")?;
+        let holder = Holder::of(shown)?;
+        Ok((wire, holder, inbox))
+    }
+
+    /// Waits for bytes until then.
+    fn read(&mut self, room: &mut [u8], until: Instant) -> Result<usize, String> {
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err("it takes too long to greet".into());
+            }
+            let _ = self.stream.set_read_timeout(Some(left));
+            match self.stream.read(room) {
+                Ok(0) => return Err("it ended the connection".into()),
+                Ok(n) => return Ok(n),
+                Err(e) if is_nothing(&e) => {}
+                Err(e) => return Err(e.to_string()),
+            }
+        }
+    }
+
+    /// Waits for one message of a greeting.
+    pub(super) fn hear(&mut self, inbox: &mut Inbox, until: Instant) -> Result<(u8, Vec<u8>), String> {
+        let mut room = [0; 4096];
+        loop {
+            if let Some((kind, content)) = inbox.next(MOST_GREETING)? {
+                return Ok((kind, content.to_vec()));
+            }
+            let n = self.read(&mut room, until)?;
+            self.take_in(&room[..n], inbox)?;
+        }
+    }
+
+    /// Sets how long [`Wire::receive`] waits at most.
+    pub(super) fn wait_for(&self, pause: Duration) -> io::Result<()> {
+        self.stream.set_read_timeout(Some(pause))
+    }
+
+    /// Looks for bytes, for the receiving thread.
+    pub(super) fn receive(&self, room: &mut [u8], inbox: &mut Inbox) -> Result<Came, String> {
+        match (&self.stream).read(room) {
+            Ok(0) => Ok(Came::End),
+            Ok(n) => self.take_in(&room[..n], inbox).map(|()| Came::Bytes),
+            Err(e) if is_nothing(&e) => Ok(Came::Nothing),
+            Err(e) => Err(e.to_string()),
+        }
+    }
+
+    fn take_in(&self, mut bytes: &[u8], inbox: &mut Inbox) -> Result<(), String> {
+        let mut tls = self.tls.lock();
+        while !bytes.is_empty() {
+            tls.read_tls(&mut bytes).map_err(|e| e.to_string())?;
+            if let Err(e) = tls.process_new_packets() {
+                // The other end is told why.
+                let mut alert = Vec::new();
+                let _ = tls.write_tls(&mut alert);
+                drop(tls);
+                let _ = (&self.stream).write_all(&alert);
+                return Err(said(&e));
+            }
+            match tls.reader().read_to_end(&mut inbox.bytes) {
+                Err(e) if e.kind() != io::ErrorKind::WouldBlock => return Err(e.to_string()),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends these messages, for the sending thread.
+    ///
+    /// # Errors
+    /// The connection is over.
+    pub(super) fn send(&self, mut bytes: &[u8]) -> io::Result<()> {
+        let mut sealed = Vec::with_capacity(bytes.len().min(AT_ONCE) + 1024);
+        while !bytes.is_empty() {
+            let mut tls = self.tls.lock();
+            let n = tls.writer().write(&bytes[..bytes.len().min(AT_ONCE)])?;
+            bytes = &bytes[n..];
+            sealed.clear();
+            while tls.wants_write() {
+                tls.write_tls(&mut sealed)?;
+            }
+            drop(tls);
+            (&self.stream).write_all(&sealed)?;
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let (tls, stream) = (self.tls.get_mut(), &mut self.stream);
+        while tls.wants_write() {
+            tls.write_tls(stream)?;
+        }
+        Ok(())
+    }
+
+    /// Ends it, for both threads and the other end.
+    pub(super) fn end(&self) {
+        // It may have ended already.
+        let _ = self.stream.shutdown(Shutdown::Both);
+    }
+}
+
+fn is_nothing(e: &io::Error) -> bool {
+    matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn messages_come_out_as_they_went_in_however_they_are_cut() {
+        let mut out = Outbox::default();
+        out.message(1, |content| content.extend_from_slice(b"one"));
+        out.message(2, |_| {});
+        out.message(3, |content| content.extend(vec![7; 70_000]));
+        for step in [1, 4, 5, 1000, 100_000] {
+            let (mut inbox, mut seen) = (Inbox::default(), Vec::new());
+            for piece in out.bytes().chunks(step) {
+                inbox.bytes.extend_from_slice(piece);
+                while let Some((kind, content)) = inbox.next(MOST_BYTES).unwrap() {
+                    seen.push((kind, content.len()));
+                }
+            }
+            assert_eq!(seen, [(1, 3), (2, 0), (3, 70_000)], "in pieces of {step}");
+            assert!(inbox.bytes.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_length_that_cannot_be_is_refused_before_there_is_room_for_it() {
+        for length in [0, MOST_BYTES as u32 + 1, u32::MAX] {
+            let mut inbox = Inbox { bytes: length.to_le_bytes().to_vec(), done: 0 };
+            assert!(inbox.next(MOST_BYTES).unwrap_err().contains("bytes"), "{length}");
+        }
+    }
+}
