@@ -249,6 +249,19 @@ impl Ticket {
         }
     }
 
+    /// Gives the call up, if the server has not begun it: then it never will.
+    ///
+    /// # Errors
+    /// It was begun, or answered: the ticket.
+    pub fn recall(self) -> Result<(), Ticket> {
+        let word = &self.pool.cells[self.index].state.word;
+        let free = with_phase(self.word, FREE);
+        match word.compare_exchange(self.word, free, Ordering::AcqRel, Ordering::Acquire) {
+            Ok(_) => Ok(()),
+            Err(_) => Err(self),
+        }
+    }
+
     /// Waits a little for an answer that comes at once, as it does while its server has a processor of its
     /// own.
     fn pause(&self, deadline_ns: u64) {

@@ -7,6 +7,7 @@ use std::thread;
 
 use trocar_rt::now_ns;
 use trocar_rt::reply::{Reply, ReplyPool};
+use trocar_rt::wake::Waker;
 
 const LOST: i32 = -99;
 const SOON: u64 = 60_000_000_000;
@@ -190,4 +191,40 @@ fn whoever_waits_is_answered_when_the_server_is_gone() {
         "those that were given up stay away, the one that came back does not"
     );
     assert_eq!(fresh.wait(0, |_, _| ()), Reply::DeadlineNotStarted);
+}
+
+#[test]
+fn a_caller_that_looks_finds_the_answer_when_it_is_there_and_is_rung() {
+    let pool = ReplyPool::new(2, 8, 8);
+    let bell = Arc::new(Waker::new());
+    pool.ringing(bell.clone());
+    let ticket = pool.acquire().unwrap();
+    let token = ticket.token();
+    let ticket = ticket.take(|_, _| panic!("nothing is there")).err().unwrap();
+    let running = pool.begin_kept(token, -1).unwrap();
+    let ticket = ticket.recall().err().unwrap();
+    assert!(!bell.take(), "nothing was answered yet");
+    running.finish(7, |ret, text| {
+        ret[0] = 3;
+        text[0] = b'x';
+        1
+    });
+    assert!(bell.take());
+    let answer = ticket.take(|ret, text| assert_eq!((ret[0], text), (3, &b"x"[..])));
+    assert!(matches!(answer, Ok(Reply::Done(7))));
+    assert_eq!(pool.in_use(), 0);
+}
+
+#[test]
+fn a_call_that_was_recalled_is_never_begun() {
+    let pool = ReplyPool::new(1, 0, 0);
+    let ticket = pool.acquire().unwrap();
+    let token = ticket.token();
+    assert!(ticket.recall().is_ok());
+    assert!(pool.begin(token, -1).is_none() && pool.begin_kept(token, -1).is_none());
+    // The cell is another call's by now, which the old one does not touch.
+    let next = pool.acquire().unwrap();
+    assert!(pool.begin(token, -1).is_none());
+    drop(pool.begin_kept(next.token(), -9));
+    assert!(matches!(next.take(|_, _| ()), Ok(Reply::Done(-9))), "dropped, it is answered all the same");
 }

@@ -728,19 +728,20 @@ pub struct Connection {
     /// wins: no loss.
     #[prost(uint64, tag = "19")]
     pub skipped: u64,
-    /// Between machines: samples, answers, events and rows that the server's end sent or has yet to send, and
-    /// those that came to the client's end; what is missing is on its way.
+    /// Between machines: samples, answers, events and rows that the server's end sent or has yet to send.
     #[prost(uint64, tag = "20")]
     pub sent: u64,
+    /// Those of them that came to the client's end; what is missing is on its way.
     #[prost(uint64, tag = "21")]
     pub came: u64,
     /// Between machines: the quickest way there and back of late, ns; 0: none is known.
     #[prost(uint64, tag = "22")]
     pub round_trip_ns: u64,
-    /// Between machines: the server's monotonic clock less the client's, ns, and the most by which that is
-    /// wrong. Stamps are converted by it where they arrive.
+    /// Between machines: the server's monotonic clock less the client's, ns. Stamps are converted by it where
+    /// they arrive.
     #[prost(sint64, tag = "23")]
     pub clock_offset_ns: i64,
+    /// The most by which that is wrong, ns.
     #[prost(uint64, tag = "24")]
     pub clock_bound_ns: u64,
 }

@@ -218,7 +218,9 @@ impl Lab {
             identity: "conformance".into(),
             ..ExecuteOptions::default()
         };
-        runtime().block_on(self.gcm.execute(vec![request], options))
+        let done = runtime().block_on(self.gcm.execute(vec![request], options));
+        self.settle();
+        done
     }
 
     #[track_caller]
@@ -230,9 +232,7 @@ impl Lab {
             Err(lost @ Refusal::ProcessLost { .. }) => Err(lost),
             answer => Ok(answer),
         });
-        let answer = answer.unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"));
-        self.settle();
-        answer
+        answer.unwrap_or_else(|refusal| panic!("{text}\nwas refused: {refusal}"))
     }
 
     /// # Errors
@@ -311,7 +311,9 @@ impl Lab {
     /// # Errors
     /// What the GCM refuses.
     pub fn configure(&self, name: &str, patch: Value) -> Result<(), Refusal> {
-        runtime().block_on(self.host().configure(&self.path(name), patch)).map(|_| ())
+        let done = runtime().block_on(self.host().configure(&self.path(name), patch)).map(|_| ());
+        self.settle();
+        done
     }
 
     #[track_caller]

@@ -447,7 +447,8 @@ impl Linking {
         };
         let agreed = Agreed { hash: terms.hash, epoch };
         let stand_ins = session.stand_ins();
-        let stand_in = stand_ins.map(|all| all.for_client(&mut offer, &terms.way, &set.ports, agreed));
+        let stand_in = stand_ins
+            .map(|all| all.for_client(&mut offer, &terms.way, (&half.here.instance, &set.ports), agreed));
         let stand_in = match stand_in.transpose() {
             Ok(stand_in) => stand_in,
             Err(why) => return decline(why),

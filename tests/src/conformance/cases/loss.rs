@@ -60,7 +60,8 @@ pub fn a_client_that_is_removed_while_its_call_waits_is_answered_and_the_call_ne
     // is stopped first.
     let rides = way.deployment.client_leads();
     let expected = if rides { Outcome::NotActive } else { Outcome::Deadline };
-    assert_eq!((answer.only(), answer.may_still_run), (expected, way.may_have_begun()), "{answer:?}");
+    assert_eq!(answer.only(), expected, "{answer:?}");
+    assert!(answer.may_still_run <= way.may_have_begun(), "{answer:?}");
     if rides {
         assert_eq!(lab.stands("server").map(|s| s.0), Some(State::Stopped(StopReason::Requested)));
     } else {

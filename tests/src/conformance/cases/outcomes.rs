@@ -144,11 +144,8 @@ pub fn a_call_that_was_not_begun_by_its_deadline_never_runs(way: &Way) {
     let call = Call::call(Function::Write, 9.0).from_threads(1).within_ms(20);
     let answer =
         if way.deployment.client_leads() { lab.perform(call) } else { lab.occupied(|| lab.perform(call)) };
-    assert_eq!(
-        (answer.only(), answer.may_still_run),
-        (Outcome::Deadline, way.may_have_begun()),
-        "{answer:?}"
-    );
+    assert_eq!(answer.only(), Outcome::Deadline, "{answer:?}");
+    assert!(answer.may_still_run <= way.may_have_begun(), "{answer:?}");
     // Whatever is taken after it would have come behind it.
     assert_eq!(lab.perform(waiting(way, Function::Write, 1.0)).only(), Outcome::Executed);
     assert_eq!(lab.row("server")["seen"], serde_json::json!([1.0]));
@@ -234,11 +231,8 @@ pub fn a_call_without_a_deadline_has_that_of_its_connection(way: &Way) {
     lab.start("server");
     lab.start("client");
     let answer = endless(way, &lab);
-    assert_eq!(
-        (answer.only(), answer.may_still_run),
-        (Outcome::Deadline, way.may_have_begun()),
-        "{answer:?}"
-    );
+    assert_eq!(answer.only(), Outcome::Deadline, "{answer:?}");
+    assert!(answer.may_still_run <= way.may_have_begun(), "{answer:?}");
     // Within a deadline of its own, as a busy machine needs it.
     let next = waiting(way, Function::Write, 1.0).within_ms(30_000);
     assert_eq!(lab.perform(next).only(), Outcome::Executed);
@@ -248,11 +242,8 @@ pub fn a_call_without_a_deadline_has_that_of_its_connection(way: &Way) {
 pub fn a_call_without_any_deadline_ends_all_the_same(way: &Way) {
     let lab = Lab::running(way);
     let answer = endless(way, &lab);
-    assert_eq!(
-        (answer.only(), answer.may_still_run),
-        (Outcome::Deadline, way.may_have_begun()),
-        "{answer:?}"
-    );
+    assert_eq!(answer.only(), Outcome::Deadline, "{answer:?}");
+    assert!(answer.may_still_run <= way.may_have_begun(), "{answer:?}");
 }
 
 pub fn a_call_that_was_begun_by_its_deadline_may_still_run(way: &Way) {

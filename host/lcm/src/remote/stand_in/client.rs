@@ -5,8 +5,8 @@
 //! published before it.
 
 use std::os::fd::OwnedFd;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
 
 use parking_lot::Mutex;
 use trocar_lcm_api::LinkDetail;
@@ -22,6 +22,7 @@ use trocar_rt::wake::Waker;
 use super::super::super::boundary::{Lane, replaced};
 use super::super::super::gate::Presence;
 use super::super::super::inbox::ENTRY_DUE;
+use super::super::super::instance::Instance;
 use super::codec::{message, put, put_short, state_of};
 use super::{Kind, Link, StandIn, Take};
 
@@ -34,12 +35,16 @@ pub(super) struct AbsentClient {
     book: Mutex<Book>,
     /// Commands that were only sent, and could not be put into the queue.
     refused: AtomicU64,
+    /// The server, whose books count commands that come too late.
+    server: Weak<Instance>,
 }
 
 #[derive(Default)]
 struct Book {
     /// The other end is there.
     ready: bool,
+    /// It sends no more commands.
+    left: bool,
     /// Calls without an answer yet.
     waiting: Vec<Waiting>,
     /// Answers that are not sent yet.
@@ -106,9 +111,17 @@ impl AbsentClient {
         shape: &CallShape,
         agreed: Agreed,
         (lanes, bell): (Vec<Lane>, Arc<Waker>),
+        server: &Arc<Instance>,
     ) -> Result<AbsentClient, String> {
         let calls = RemoteCalls::open(memory, shape, agreed).map_err(|e| e.to_string())?;
-        Ok(AbsentClient { calls, lanes, bell, book: Mutex::default(), refused: AtomicU64::new(0) })
+        Ok(AbsentClient {
+            calls,
+            lanes,
+            bell,
+            book: Mutex::default(),
+            refused: AtomicU64::new(0),
+            server: Arc::downgrade(server),
+        })
     }
 
     /// Puts a command into the queue of the server.
@@ -157,6 +170,12 @@ impl AbsentClient {
         };
         match (pushed, ticket) {
             (Err(outcome), _) => {
+                // A full queue counts them itself.
+                if outcome != QUEUE_FULL
+                    && let Some(server) = self.server.upgrade()
+                {
+                    server.books.lose(false, 1);
+                }
                 refuse(&mut book, outcome);
                 self.bell.notify();
             }
@@ -176,7 +195,7 @@ impl AbsentClient {
 }
 
 impl Book {
-    /// Takes the answers that are there; a call whose time is over is given up.
+    /// Takes the answers that are there; a call whose time is over is recalled.
     fn take_answers(&mut self) {
         let now_ns = os::now_ns();
         for waiting in std::mem::take(&mut self.waiting) {
@@ -189,9 +208,11 @@ impl Book {
             match taken {
                 Ok(Reply::Done(outcome)) => self.answers.push(Answer { token, outcome, value, text }),
                 Ok(_) => self.answers.push(Answer::bare(token, DEADLINE)),
-                // Dropped: what has not begun never will.
-                Err(_) if now_ns > until_ns => self.answers.push(Answer::bare(token, DEADLINE)),
-                Err(ticket) => self.waiting.push(Waiting { token, until_ns, ret_bytes, ticket }),
+                // What has not begun by then never will; what has is carried to its end.
+                Err(ticket) => match if now_ns > until_ns { ticket.recall() } else { Err(ticket) } {
+                    Ok(()) => self.answers.push(Answer::bare(token, DEADLINE)),
+                    Err(ticket) => self.waiting.push(Waiting { token, until_ns, ret_bytes, ticket }),
+                },
             }
         }
     }
@@ -206,6 +227,11 @@ impl StandIn for AbsentClient {
                 Ok(())
             }
             Kind::Command => self.command(content, clock),
+            Kind::Left => {
+                self.book.lock().left = true;
+                self.bell.notify();
+                Ok(())
+            }
             other => Err(format!("{other:?} of a client")),
         }
     }
@@ -284,8 +310,9 @@ impl StandIn for AbsentClient {
         detail.rejected += lost;
     }
 
-    fn is_idle(&self) -> bool {
+    fn is_over(&self) -> bool {
         let book = self.book.lock();
-        book.waiting.is_empty() && book.answers.is_empty()
+        // Commands that are on their way still come, and are answered or counted.
+        !book.ready || (book.left && book.waiting.is_empty() && book.answers.is_empty())
     }
 }

@@ -30,12 +30,14 @@ pub(in super::super) enum Kind {
     Why = 10,
     /// The state of the server.
     Standing = 11,
+    /// The client's connection was cut, and every command that it sent has been sent before.
+    Left = 12,
 }
 
 impl Kind {
     pub(in super::super) fn of(number: u8) -> Option<Kind> {
         use Kind::*;
-        let all = [Words, Ready, Sample, Frame, Command, Took, Answer, Event, Result, Why, Standing];
+        let all = [Words, Ready, Sample, Frame, Command, Took, Answer, Event, Result, Why, Standing, Left];
         all.into_iter().find(|kind| *kind as u8 == number)
     }
 }
@@ -154,6 +156,6 @@ mod tests {
     #[test]
     fn every_kind_has_its_number() {
         let known: Vec<Kind> = (0..=255).filter_map(Kind::of).collect();
-        assert_eq!((known.len(), known[0], known[10]), (11, Kind::Words, Kind::Standing));
+        assert_eq!((known.len(), known[0], known[10]), (12, Kind::Words, Kind::Standing));
     }
 }

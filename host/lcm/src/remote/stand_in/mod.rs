@@ -22,6 +22,7 @@ use trocar_net::line::{Clock, Line, Outbox};
 use trocar_rt::segment::Agreed;
 use trocar_rt::stream::RemoteViews;
 
+use super::super::instance::Instance;
 use super::super::passage::lane;
 use super::server::Offer;
 use super::terms::{Way, commands};
@@ -46,8 +47,11 @@ pub(super) trait StandIn: Send + Sync {
     /// Corrects the figures of the end that is here by what happens between the two memories.
     fn correct(&self, detail: &mut LinkDetail);
 
-    /// Tells whether nothing is under way that the end of the connection would cut off.
-    fn is_idle(&self) -> bool {
+    /// The connection was cut.
+    fn leave(&self) {}
+
+    /// Tells, of a connection that was cut, whether nothing is under way any more.
+    fn is_over(&self) -> bool {
         true
     }
 }
@@ -87,7 +91,7 @@ impl StandIns {
         &self,
         offer: &mut Offer,
         way: &Way,
-        server: &Ports,
+        (instance, server): (&Arc<Instance>, &Ports),
         agreed: Agreed,
     ) -> Result<Arc<dyn StandIn>, String> {
         let bell = self.line.bell();
@@ -102,7 +106,7 @@ impl StandIns {
                 let all = commands(server);
                 let bound = binding.functions.iter().enumerate();
                 let lanes = bound.map(|(index, (_, id))| lane(all[*id], index)).collect();
-                Arc::new(client::AbsentClient::open(memory, shape, agreed, (lanes, bell.clone()))?)
+                Arc::new(client::AbsentClient::open(memory, shape, agreed, (lanes, bell.clone()), instance)?)
             }
             _ => return Err("the component's ports are others by now".into()),
         };
@@ -155,7 +159,10 @@ impl StandIns {
     /// The connection was cut.
     pub(super) fn leave(&self, link: Link) {
         let mut all = self.all.lock();
-        all.iter_mut().filter(|entry| entry.link == link).for_each(|entry| entry.leaving = true);
+        for entry in all.iter_mut().filter(|entry| entry.link == link) {
+            entry.leaving = true;
+            entry.stand_in.leave();
+        }
         drop(all);
         self.line.bell().notify();
     }
@@ -182,7 +189,7 @@ impl StandIns {
         let mut more = false;
         all.retain(|entry| {
             more |= entry.stand_in.fill(entry.link, out);
-            !(entry.leaving && entry.stand_in.is_idle())
+            !(entry.leaving && entry.stand_in.is_over())
         });
         more
     }

@@ -49,6 +49,9 @@ struct Book {
     /// Calls that were sent, by their tokens.
     running: BTreeMap<u64, Running<Arc<ReplyPool>>>,
     sent: u64,
+    /// The connection is cut; then whether the other end was told.
+    leaving: bool,
+    left: bool,
     /// Commands the server has taken out of its queue.
     took: u64,
 }
@@ -143,8 +146,12 @@ impl StandIn for AbsentServer {
 
     fn fill(&self, link: Link, out: &mut Outbox) -> bool {
         let mut book = self.book.lock();
-        let Book { running, sent, took } = &mut *book;
-        let room = self.depth.saturating_sub(sent.saturating_sub(*took));
+        let Book { running, sent, took, leaving, left } = &mut *book;
+        let mut room = self.depth.saturating_sub(sent.saturating_sub(*took));
+        if *leaving {
+            // The other end takes what was sent before the cut, and counts what it does not carry out.
+            room = u64::MAX;
+        }
         if room == 0 {
             return false;
         }
@@ -161,7 +168,11 @@ impl StandIn for AbsentServer {
                 bytes.extend_from_slice(arg);
             });
         };
-        self.calls.commands.drain_some(room as usize, send, |head| replaced(&self.calls.replies, head.reply));
+        let skip = |head: EntryHead| replaced(&self.calls.replies, head.reply);
+        self.calls.commands.drain_some(room as usize, send, skip);
+        if *leaving && !std::mem::replace(left, true) {
+            message(out, link, Kind::Left, |_| ());
+        }
         false
     }
 
@@ -169,7 +180,12 @@ impl StandIn for AbsentServer {
         detail.came = self.came.load(Ordering::Relaxed);
     }
 
-    fn is_idle(&self) -> bool {
-        self.book.lock().running.is_empty()
+    fn leave(&self) {
+        self.book.lock().leaving = true;
+    }
+
+    fn is_over(&self) -> bool {
+        let book = self.book.lock();
+        book.left && book.running.is_empty()
     }
 }
