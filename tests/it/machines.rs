@@ -269,6 +269,12 @@ fn a_manager_whose_certificate_is_taken_back_is_left_by_its_hosts() {
     });
 }
 
+/// A request to connect this client with the server in `cart` as between machines.
+fn connect(client: &str) -> Value {
+    let client = format!("{client}/Required");
+    json!({ "client": client, "server": "cart/server/Provided", "options": { "carrier": "net" } })
+}
+
 /// A server in one process and its client in another, connected as between machines.
 fn connected(lab: &Lab) -> (HostProcess, HostProcess) {
     let hosts = (lab.host("cart", "cart"), lab.host("cart-2", "cart"));
@@ -278,10 +284,7 @@ fn connected(lab: &Lab) -> (HostProcess, HostProcess) {
     }
     chief.create("cart/server", "Server", json!({}));
     chief.create("cart-2/client", "Client", json!({}));
-    chief.ok(
-        "GcmService/Connect",
-        json!({ "client": "cart-2/client/Required", "server": "cart/server/Provided", "options": { "carrier": "net" } }),
-    );
+    chief.ok("GcmService/Connect", connect("cart-2/client"));
     chief.start("cart/server");
     chief.start("cart-2/client");
     hosts
@@ -335,10 +338,7 @@ fn a_host_whose_certificate_is_taken_back_is_connected_with_no_more() {
     }
     chief.create("cart/server", "Server", json!({}));
     chief.create("left/client", "Client", json!({}));
-    let connect = json!({
-        "client": "left/client/Required", "server": "cart/server/Provided", "options": { "carrier": "net" }
-    });
-    chief.ok("GcmService/Connect", connect);
+    chief.ok("GcmService/Connect", connect("left/client"));
     trocar.run(&["ca", "revoke", "cart"]).ends_with(0);
     eventually("the line has ended", || {
         let printed = left.printed();
@@ -357,10 +357,7 @@ fn a_process_without_an_identity_is_connected_with_no_other_machine() {
     }
     chief.create("cart/server", "Server", json!({}));
     chief.create("here/client", "Client", json!({}));
-    let connect = json!({
-        "client": "here/client/Required", "server": "cart/server/Provided", "options": { "carrier": "net" }
-    });
-    let refusal = chief.refused("GcmService/Connect", connect);
+    let refusal = chief.refused("GcmService/Connect", connect("here/client"));
     assert!(refusal.reason == "UNREACHABLE" && refusal.message.contains("identity"), "{refusal:?}");
     drop((cart, here));
 }

@@ -10,8 +10,10 @@ use trocar_model::ComponentId;
 use trocar_plugin_api::abi::{Outcome, PEER_LOST};
 use trocar_rt::mailbox::{EntryHead, Mailbox};
 use trocar_rt::reply::ReplyPool;
+use trocar_rt::wake::Waker;
 
 use super::boundary::RangeCheck;
+use super::context;
 
 /// Kinds of mailbox entries. The goal of a plain command ages as its connection and its server's class say.
 pub(super) const ENTRY_COMMAND: u32 = 0;
@@ -63,6 +65,8 @@ pub(super) struct Inbox {
     pub(super) deadline_ns: u64,
     failures: Failures,
     closed: AtomicBool,
+    /// Rung when entries were taken: somebody here tells a client on another machine of the room.
+    taken: Option<Arc<Waker>>,
 }
 
 /// A component at either end of a queue, which is warned of what goes wrong there.
@@ -146,9 +150,9 @@ impl Inbox {
         targets: Vec<Arc<Position>>,
         from: From,
         checks: Vec<Check>,
-        deadline_ns: u64,
+        (deadline_ns, taken): (u64, Option<Arc<Waker>>),
     ) -> Arc<Inbox> {
-        Arc::new(Inbox { deadline_ns, ..Self::of(mailbox, replies, targets, from, false, checks) })
+        Arc::new(Inbox { deadline_ns, taken, ..Self::of(mailbox, replies, targets, from, false, checks) })
     }
 
     /// Queue for events of a component of another process.
@@ -180,6 +184,7 @@ impl Inbox {
             losses: Losses::default(),
             failures: Failures::default(),
             closed: AtomicBool::new(false),
+            taken: None,
         }
     }
 
@@ -213,6 +218,14 @@ impl Inbox {
             _ => false,
         };
         is_kind && payload.len() == check.bytes && in_range()
+    }
+
+    /// Notes that entries were taken. Real-time.
+    #[inline]
+    pub(super) fn note_taken(&self) {
+        if let Some(bell) = &self.taken {
+            context::wake(bell);
+        }
     }
 
     /// Takes nothing more; answers everything still queued with `outcome`, unexecuted.

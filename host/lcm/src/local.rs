@@ -65,7 +65,7 @@ pub struct LcmConfig {
     /// Socket on which it listens for other processes of its machine; `None`: its components connect to none
     /// of them.
     pub links: Option<PathBuf>,
-    /// How processes of other machines reach it; `None`: its components connect to none of them.
+    /// The way by which processes of other machines reach it; `None`: its components connect to none of them.
     pub afar: Option<Afar>,
     /// Lock the memory of the process, where the machine allows it, else the stacks of components' threads.
     pub lock_memory: bool,

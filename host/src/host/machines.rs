@@ -27,9 +27,9 @@ pub struct Machines {
 /// The way to other machines, as it was found.
 pub(super) struct Ways {
     pub(super) dialler: Dialler,
-    /// What the port for other machines listens with.
+    /// The needs of the port for other machines.
     pub(super) secured: Option<Secured>,
-    /// How other machines' processes reach the components.
+    /// The way by which other machines' processes reach the components.
     pub(super) afar: Option<Afar>,
 }
 
@@ -61,7 +61,7 @@ impl Machines {
         Ok(Ways { dialler, secured, afar })
     }
 
-    /// How other machines' processes reach the components.
+    /// The way by which other machines' processes reach the components.
     ///
     /// # Errors
     /// An address is none.
@@ -74,17 +74,11 @@ impl Machines {
         let of_gcm = gcm.and_then(|gcm| gcm.strip_prefix("https://"));
         let listen = match (&self.lines, of_gcm, &self.listen) {
             (Some(lines), ..) => address(lines)?,
-            // Only a process of another machine is reached in vain.
-            (None, Some(gcm), _) => match towards(gcm) {
-                Some(ip) => SocketAddr::new(ip, 0),
-                None => {
-                    log::warn!(
-                        "{gcm} has no address now: components of other machines do not connect to this process; \
-                         --listen-lines says where they would"
-                    );
-                    return Ok(None);
-                }
-            },
+            // Where the network is not up yet, at all addresses that come.
+            (None, Some(gcm), _) => {
+                let everywhere = IpAddr::from([0; 4]);
+                SocketAddr::new(towards(gcm).unwrap_or(everywhere), 0)
+            }
             (None, None, Some(listen)) => SocketAddr::new(address(listen)?.ip(), 0),
             (None, None, None) => return Ok(None),
         };

@@ -731,7 +731,7 @@ pub struct Connection {
     /// Between machines: samples, answers, events and rows that the server's end sent or has yet to send.
     #[prost(uint64, tag = "20")]
     pub sent: u64,
-    /// Those of them that came to the client's end; what is missing is on its way.
+    /// As many of them have come to the client's end; the others are on their way.
     #[prost(uint64, tag = "21")]
     pub came: u64,
     /// Between machines: the quickest way there and back of late, ns; 0: none is known.

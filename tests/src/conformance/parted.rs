@@ -17,9 +17,9 @@ fn grid(period_ns: u64) -> Execution {
     Execution { period_ns: Some(period_ns), ..model(ExecutionModel::Periodic) }
 }
 
-/// One deployment each: client, server, and whether the server has a step.
+/// One deployment each: client, server, whether the server has a step, and the carrier between them.
 macro_rules! parted {
-    ($($(#[doc = $doc:literal])+ $name:ident, $text:literal: $client:expr, $server:expr, $steps:literal;)+) => {$(
+    ($($(#[doc = $doc:literal])+ $name:ident, $text:literal: $client:expr, $server:expr, $steps:literal $(, $carrier:literal)?;)+) => {$(
         $(#[doc = $doc])+
         pub struct $name;
 
@@ -42,35 +42,16 @@ macro_rules! parted {
             fn server_steps(&self) -> bool {
                 $steps
             }
+            $(fn carrier(&self) -> &'static str {
+                $carrier
+            })?
         }
     )+};
 }
 
-/// Each in a process of its own, as on two machines: what they share goes over an encrypted line.
-pub struct OtherMachine;
-
-impl Deployment for OtherMachine {
-    fn name(&self) -> &'static str {
-        "other machine"
-    }
-    fn inline(&self) -> bool {
-        false
-    }
-    fn client(&self) -> Execution {
-        OtherProcess.client()
-    }
-    fn server(&self) -> Execution {
-        OtherProcess.server()
-    }
-    fn two_processes(&self) -> bool {
-        true
-    }
-    fn carrier(&self) -> &'static str {
-        "net"
-    }
-}
-
 parted! {
+    /// As on two machines: an encrypted line is between them.
+    OtherMachine, "other machine": model(ExecutionModel::OnSignal), model(ExecutionModel::OnSignal), true, "net";
     /// Each in a process of its own, asleep until something arrives.
     OtherProcess, "other process": model(ExecutionModel::OnSignal), model(ExecutionModel::OnSignal), true;
     /// The client on a grid that looks at its queues in its cycles, the server on one that is woken in

@@ -24,7 +24,7 @@ const HOST: &str = "host";
 /// The process of servers, where there are two.
 const OTHER: &str = "other";
 
-/// How a process of a lab whose connections have this carrier is reached from other machines.
+/// The way by which other machines reach a process of a lab whose connections have this carrier.
 pub(super) fn machines(carrier: &str) -> Machines {
     if carrier != "net" {
         return Machines::default();

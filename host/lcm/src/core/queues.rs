@@ -107,6 +107,7 @@ impl Core {
             // Superseded by a newer one of the same command.
             let skip = |head: EntryHead| replaced(&inbox.replies, head.reply);
             inbox.mailbox.drain(run, skip);
+            inbox.note_taken();
         }
     }
 

@@ -257,6 +257,9 @@ impl Half {
         };
         if let Some(stand_in) = &linked.stand_in {
             stand_in.correct(&mut last);
+            if linked.session.is_lost() {
+                last.unexecuted += stand_in.lost();
+            }
         }
         let mut stage = self.stage();
         stage.before = std::mem::take(&mut stage.before).followed_by(&last);

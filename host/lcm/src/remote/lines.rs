@@ -20,10 +20,14 @@ use super::words::Words;
 
 /// Name of the carrier.
 pub(crate) const NAME: &str = "net";
-/// Words of one line that may wait to be handled.
-const MOST_WORDS: usize = 4096;
+/// Bytes of words that may come at once.
+const MOST_AT_ONCE: usize = 4 << 20;
+/// Bytes of words of one line that may wait to be handled, each with [`WORDS`] more.
+const MOST_WAITING: usize = 16 << 20;
+/// Bytes that count for whatever words cost.
+const WORDS: usize = 16 << 10;
 
-/// How this process is reached from other machines.
+/// The way by which other machines reach this process.
 #[derive(Clone, Debug)]
 pub struct Afar {
     /// Address it listens at; port 0 takes a free one.
@@ -88,22 +92,25 @@ impl Handler for Meets {
     }
 }
 
-/// What passes over one line.
+/// A session over one line.
 struct Talk {
     me: Weak<Talk>,
     line: Arc<Line>,
     teller: Teller,
     stand_ins: StandIns,
-    /// Words that wait to be handled.
+    /// Bytes of words that wait to be handled.
     waiting: Arc<AtomicUsize>,
 }
 
 /// Counts words that wait until they are handled.
-struct Held(Arc<AtomicUsize>);
+struct Held {
+    all: Arc<AtomicUsize>,
+    mine: usize,
+}
 
 impl Drop for Held {
     fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
+        self.all.fetch_sub(self.mine, Ordering::Relaxed);
     }
 }
 
@@ -113,8 +120,10 @@ impl Traffic for Talk {
         if kind != Kind::Words {
             return self.stand_ins.came(kind, content);
         }
-        let held = Held(self.waiting.clone());
-        if self.waiting.fetch_add(1, Ordering::Relaxed) >= MOST_WORDS {
+        let mine = content.len() + WORDS;
+        let held = Held { all: self.waiting.clone(), mine };
+        let before = self.waiting.fetch_add(mine, Ordering::Relaxed);
+        if content.len() > MOST_AT_ONCE || before + mine > MOST_WAITING {
             return Err("more than this process can listen to".into());
         }
         if let Some(me) = self.me.upgrade() {

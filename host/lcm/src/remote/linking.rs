@@ -4,31 +4,30 @@
 //! Invariant: a half is linked only over a session with the very run of the process that the GCM named;
 //! messages of any other run of that name are ignored. Each session is asked once for each link.
 
+mod opening;
+
 use std::collections::BTreeMap;
-use std::os::fd::OwnedFd;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use trocar_lcm_api::HalfReport;
 use trocar_links::Card;
 use trocar_rt::os;
-use trocar_rt::segment::Agreed;
-use trocar_rt::stream::{RemotePools, RemoteViews};
+use trocar_rt::stream::RemotePools;
 
 use super::super::boundary::{ReadAnswer, RemoteServer};
 use super::super::ends::Role;
 use super::super::loss::Loss;
-use super::asks::Asks;
-use super::client::{ClientWires, Own};
+use super::client::ClientWires;
 use super::half::{Half, Linked, Wires};
 use super::medium::{Medium, Message, Session, same};
-use super::pools::{Untold, all_came, map};
-use super::same_class::{code_of, rows_for};
-use super::server::{Offer, ServerWires};
-use super::serving::{Question, QuestionQueue};
-use super::stand_in::{Link, Placed, StandIns};
+use super::pools::Untold;
+use super::same_class::code_of;
+use super::server::ServerWires;
+use super::serving::Question;
+use super::stand_in::Link;
 use super::todo::{Halves, Todo, Todos, all, locked};
-use super::words::{Pool, Words};
+use super::words::Words;
 
 /// Time between looks at links of frames: for pools not announced to their other end yet, and for returned
 /// frames.
@@ -363,6 +362,7 @@ impl Linking {
             }
             Words::Pools { epoch, pools, .. } => self.pools(session, half, epoch, &pools, message),
             Words::Told { epoch, number, outcome, stamp_ns, value_bytes, .. } => {
+                let stamp_ns = session.stand_ins().map_or(stamp_ns, |there| there.here(stamp_ns));
                 let (value, text) = behind.split_at(behind.len().min(value_bytes as usize));
                 let text = trocar_model::plain::sentence(text);
                 let answer = ReadAnswer { outcome, stamp_ns, value: value.to_vec(), text };
@@ -402,176 +402,6 @@ impl Linking {
                 });
             }
             _ => {}
-        }
-    }
-
-    /// Handles the request of the client's process for the memory.
-    fn opens(&mut self, session: &Arc<dyn Session>, half: &Arc<Half>, hash: u64, code: Option<String>) {
-        let connection = half.number();
-        let decline = |why: String| {
-            half.fail(why.clone(), false);
-            let _ = session.say(&Words::Declined { connection, why, later: false }, &[], &[]);
-        };
-        let (_, terms) = match half.terms(false) {
-            Ok(both) => both,
-            Err(refusal) => return decline(refusal.to_string()),
-        };
-        if hash != terms.hash {
-            let (mine, theirs) = (terms.hash, hash);
-            return decline(format!(
-                "the types of {} are others in the two processes (hash {mine:#018x} in {}, {theirs:#018x} in {}): both must have \
-                 the same version of its plugin",
-                half.connection.server,
-                half.connection.server.component.process,
-                half.other()
-            ));
-        }
-        // A client that asks again has lost its end.
-        self.unlink(half, None, "its client asked anew", Loss::Cut, true);
-        // Rows are memory, and stay on their machine.
-        let code = code.filter(|_| session.stand_ins().is_none());
-        let rows = rows_for(half, code);
-        let (set, terms) = match half.terms(rows.is_some()) {
-            Ok(both) => both,
-            Err(refusal) => return decline(refusal.to_string()),
-        };
-        self.epoch = os::now_ns().max(self.epoch + 1);
-        let epoch = self.epoch;
-        let mut offer = match Offer::make(&terms.way, Agreed { hash: terms.hash, epoch }, &self.todos.bell) {
-            Ok(offer) => offer,
-            Err(e) => return decline(format!("no memory for it: {e}")),
-        };
-        let memory = match offer.fd() {
-            Ok(fd) => fd,
-            Err(e) => return decline(e.to_string()),
-        };
-        let agreed = Agreed { hash: terms.hash, epoch };
-        let stand_ins = session.stand_ins();
-        let stand_in = stand_ins
-            .map(|all| all.for_client(&mut offer, &terms.way, (&half.here.instance, &set.ports), agreed));
-        let stand_in = match stand_in.transpose() {
-            Ok(stand_in) => stand_in,
-            Err(why) => return decline(why),
-        };
-        offer.expect_pools(&terms.way, &set);
-        let (rows, rows_file) = rows.unzip();
-        let questions =
-            |served| QuestionQueue::open(&half.here.instance, session, (connection, epoch), served);
-        let here = (&half.here, &*set);
-        let mut wires = match ServerWires::connect(offer, &terms.way, &half.connection, here, rows, questions)
-        {
-            Ok(wires) => wires,
-            Err(e) => return decline(e.to_string()),
-        };
-        let Untold { pools, files, told } = Untold::of(&wires);
-        Untold::note(told, &mut wires);
-        half.link(session, epoch, Wires::Server(wires), stand_in.clone());
-        let rows = rows_file.is_some();
-        let files: Vec<OwnedFd> = std::iter::once(memory).chain(rows_file).chain(files).collect();
-        let state = stand_in.as_ref().map(|stand_in| stand_in.state()).unwrap_or_default();
-        if let Some((all, stand_in)) = stand_ins.zip(stand_in) {
-            all.add(Link { connection, epoch }, stand_in);
-        }
-        if let Err(why) = session.say(&Words::Opened { connection, epoch, rows, pools }, &state, &files) {
-            self.unlink(half, None, &why, Loss::Cut, false);
-            let _ = session.say(&Words::Declined { connection, why, later: true }, &[], &[]);
-        }
-    }
-
-    /// Handles the memory that the server's process gave.
-    fn opened(
-        &mut self,
-        session: &Arc<dyn Session>,
-        half: &Arc<Half>,
-        (epoch, rows, pools): (u64, bool, &[Pool]),
-        (state, message): (&[u8], Message),
-    ) {
-        let connection = half.number();
-        half.asked(None);
-        self.unlink(half, None, "its server opened it anew", Loss::Cut, false);
-        let link = || -> Result<(), String> {
-            if let Some(stand_ins) = session.stand_ins() {
-                return Self::open_apart(session, stand_ins, half, epoch, state);
-            }
-            all_came(&message)?;
-            let mut files = message.files.into_iter();
-            let memory = files.next().ok_or("no memory came along")?;
-            let own = if rows {
-                let rows = files.next().ok_or("no rows came along")?;
-                let class =
-                    (half.same_class)().ok_or("it shows rows to this process, which has not their class")?;
-                Some(Own { class, rows })
-            } else {
-                None
-            };
-            let (set, terms) = half.terms(own.is_some()).map_err(|refusal| refusal.to_string())?;
-            let views = RemoteViews::new(terms.way.header_bytes());
-            map(&views, pools, files)?;
-            let wires = ClientWires::connect(
-                (memory, Agreed { hash: terms.hash, epoch }, None),
-                &terms.way,
-                &half.connection,
-                (&half.here, &set),
-                (&half.theirs, Asks::new(session, connection, epoch), own),
-                views,
-            );
-            half.link(session, epoch, Wires::Client(wires.map_err(|e| e.to_string())?), None);
-            Ok(())
-        };
-        if let Err(why) = link() {
-            half.fail(why, true);
-            let _ = session.say(&Words::Close { connection, epoch }, &[], &[]);
-        }
-    }
-
-    /// Links a client to whoever stands in for its server here.
-    fn open_apart(
-        session: &Arc<dyn Session>,
-        stand_ins: &StandIns,
-        half: &Arc<Half>,
-        epoch: u64,
-        state: &[u8],
-    ) -> Result<(), String> {
-        let connection = half.number();
-        let (set, terms) = half.terms(false).map_err(|refusal| refusal.to_string())?;
-        let agreed = Agreed { hash: terms.hash, epoch };
-        let Placed { stand_in, memory, views } = stand_ins.for_server(&terms.way, agreed, state)?;
-        let wires = ClientWires::connect(
-            (memory, agreed, Some(stand_ins.bell().clone())),
-            &terms.way,
-            &half.connection,
-            (&half.here, &set),
-            (&half.theirs, Asks::new(session, connection, epoch), None),
-            views,
-        );
-        let wires = Wires::Client(wires.map_err(|e| e.to_string())?);
-        let link = Link { connection, epoch };
-        half.link(session, epoch, wires, Some(stand_in.clone()));
-        stand_ins.add(link, stand_in);
-        stand_ins.ready(link)
-    }
-
-    /// Handles the pools that the server's process announced.
-    fn pools(
-        &mut self,
-        session: &Arc<dyn Session>,
-        half: &Half,
-        epoch: u64,
-        pools: &[Pool],
-        message: Message,
-    ) {
-        let parts = half.with_wires(session, epoch, |wires| match wires {
-            Wires::Client(ClientWires::Input { views, bell, .. }) => Some((views.clone(), bell.clone())),
-            _ => None,
-        });
-        let Some(Some((views, bell))) = parts else { return };
-        // Mapping takes its time: other users of the half do not wait for it.
-        match all_came(&message).and_then(|()| map(&views, pools, message.files)) {
-            // A frame may wait for this pool.
-            Ok(()) => _ = bell.notify(),
-            Err(why) => {
-                self.unlink(half, Some(session), &why, Loss::Cut, true);
-            }
         }
     }
 

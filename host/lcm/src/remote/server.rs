@@ -223,7 +223,7 @@ impl ServerWires {
         here.executor.add_bell(calls.for_server.clone(), server.core.clone()).map_err(io::Error::other)?;
         let bound = Bound { set, all: commands(&set.ports), binding, shows_rows: rows.is_some() };
         let shown = bound.shown(calls.reads.into_iter().zip(calls.whys));
-        let face = Face::new(calls.server, shown, bound.computed_there(calls.own_reads), rows, shows);
+        let face = Face::new(calls.server, shown, bound.computed_there(calls.own_reads), rows, shows.clone());
         let questions = questions(bound.served());
         let commands_in = Inbox::remote_commands(
             calls.commands,
@@ -231,7 +231,7 @@ impl ServerWires {
             bound.ids().map(|id| set.commands[id].clone()).collect(),
             here.from(&connection.client.component),
             bound.ids().map(|id| bound.check(id)).collect(),
-            connection.options.deadline_ns.unwrap_or(0),
+            (connection.options.deadline_ns.unwrap_or(0), shows.clone()),
         );
         server.edit_inboxes(|all| all.push(commands_in.clone()));
         let to = Arc::new(RemoteEvents { mailbox: calls.events, bell: calls.for_client });

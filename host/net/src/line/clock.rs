@@ -65,7 +65,9 @@ impl Clock {
         if theirs_ns == 0 {
             return 0;
         }
-        theirs_ns.wrapping_sub(self.offset_ns.load(Ordering::Relaxed).cast_unsigned())
+        let here = i128::from(theirs_ns) - i128::from(self.offset_ns());
+        // From before this machine's start: as old as can be, and never new.
+        here.clamp(1, i128::from(u64::MAX)) as u64
     }
 
     /// Their clock less this one, ns.
@@ -128,7 +130,7 @@ mod tests {
     /// Two clocks, one `ahead_ns` of the other, with ways that take so long there and back.
     fn exchanged(ahead_ns: u64, ways: &[(u64, u64)]) -> (Clock, Clock) {
         let (ours, theirs) = (Clock::default(), Clock::default());
-        let mut now = 1_000_000_000;
+        let mut now = 100_000_000_000;
         for (there, back) in ways {
             let beat = ours.beat(now);
             now += there;
@@ -151,8 +153,8 @@ mod tests {
             assert!(wrong <= ours.bound_ns() && ours.bound_ns() < 50_000, "{wrong} of {}", ours.bound_ns());
             let wrong = theirs.offset_ns().wrapping_add(ahead.cast_signed()).unsigned_abs();
             assert!(wrong <= theirs.bound_ns(), "{wrong} of {}", theirs.bound_ns());
-            let stamp = 5_000_000_000_u64.wrapping_add(ahead);
-            assert!(ours.here(stamp).abs_diff(5_000_000_000) <= ours.bound_ns());
+            let stamp = 90_000_000_000_u64.wrapping_add(ahead);
+            assert!(ours.here(stamp).abs_diff(90_000_000_000) <= ours.bound_ns());
         }
     }
 
@@ -176,6 +178,14 @@ mod tests {
     }
 
     #[test]
+    fn a_stamp_from_before_this_machine_s_start_is_old_and_one_beyond_all_times_new() {
+        let (ours, _) = exchanged(77_000_000_000, &[(20_000, 20_000)]);
+        assert_eq!(ours.here(1_000_000_000), 1, "the other machine had been up for longer than this one");
+        let (ours, _) = exchanged(77_000_000_000_u64.wrapping_neg(), &[(20_000, 20_000)]);
+        assert_eq!(ours.here(u64::MAX), u64::MAX);
+    }
+
+    #[test]
     fn beats_that_cannot_be_change_nothing() {
         let (ours, _) = exchanged(0, &[(20_000, 20_000)]);
         let before = (ours.offset_ns(), ours.bound_ns());
@@ -184,7 +194,7 @@ mod tests {
             Beat { sent_ns: 5, heard_ns: u64::MAX, came_ns: 9 },
             Beat { sent_ns: 0, heard_ns: 0, came_ns: u64::MAX },
         ] {
-            ours.heard(beat, 1_000_100_000);
+            ours.heard(beat, 100_000_100_000);
         }
         assert_eq!((ours.offset_ns(), ours.bound_ns()), before);
         assert_eq!(ours.here(0), 0);

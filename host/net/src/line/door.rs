@@ -16,7 +16,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustls::{Connection, ServerConnection};
 use trocar_rt::house;
 
-use super::greeting::answer;
+use super::greeting::{Refused, answer};
 use super::lines::{GREETING, Shared};
 use super::wire::Wire;
 
@@ -109,16 +109,17 @@ fn greet(stream: TcpStream, from: SocketAddr, seat: Seat, shared: &Shared) {
     let met = || {
         let tls = ServerConnection::new(shared.server.config()).map_err(|e| e.to_string())?;
         let (mut wire, holder, inbox) = Wire::greeted(stream, Connection::Server(tls), until)?;
-        let met =
-            answer((&mut wire, inbox), &holder, &shared.ends.who, until).map_err(|refused| refused.why)?;
-        Ok::<_, String>((met, wire, holder))
+        let met = answer((&mut wire, inbox), &holder, &shared.ends.who, until)?;
+        Ok::<_, Refused>((met, wire, holder))
     };
     match met() {
         Ok((met, wire, holder)) => {
             drop(seat);
             let line = shared.line(met.who, holder, wire, met.clock);
-            shared.serve(&line, met.inbox);
+            if let Err(why) = shared.let_in(&line, met.inbox) {
+                shared.turned_away(from, &why);
+            }
         }
-        Err(why) => shared.turned_away(from, &why),
+        Err(refused) => shared.turned_away(from, &refused.why),
     }
 }

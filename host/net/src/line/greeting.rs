@@ -47,6 +47,13 @@ pub(super) struct Refused {
     pub(super) for_long: bool,
 }
 
+impl Refused {
+    /// Names who refused, or was refused.
+    pub(super) fn by(self, who: &str) -> Refused {
+        Refused { why: format!("{who}: {}", self.why), ..self }
+    }
+}
+
 impl From<String> for Refused {
     fn from(why: String) -> Refused {
         Refused { why, for_long: false }

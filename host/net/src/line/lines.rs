@@ -20,8 +20,8 @@ use trocar_rt::wake::Waker;
 
 use super::door::Door;
 use super::greeting::{Met, Refused, Who, call};
-use super::wire::Wire;
-use super::{Handler, Line, run};
+use super::wire::{Inbox, Wire};
+use super::{Clock, Handler, Line, run};
 use crate::holder::Holder;
 use crate::identity::Identity;
 use crate::revoked::Revoked;
@@ -35,6 +35,8 @@ const REDIAL_NS: u64 = 20_000_000;
 const REFUSED_NS: u64 = 1_000_000_000;
 /// Time between two lines of the log about callers that were turned away.
 const TELL: Duration = Duration::from_secs(10);
+/// Processes that may have begun a line to this one.
+const MOST_GUESTS: usize = 256;
 /// The protocol of lines (ALPN).
 const PROTOCOL: &str = "trocar-line";
 
@@ -48,7 +50,7 @@ pub struct Place {
     pub address: String,
 }
 
-/// How this process is known at its ends of lines.
+/// This process, as it is known at its ends of lines.
 #[derive(Clone, Debug)]
 pub struct Ends {
     pub who: Who,
@@ -72,6 +74,8 @@ pub(super) struct Shared {
     pub(super) over: AtomicBool,
     /// Lines that live, to be ended at the end.
     lines: Mutex<Vec<Arc<Line>>>,
+    /// Those of them that other processes have begun.
+    guests: Mutex<Vec<Arc<Line>>>,
     threads: Mutex<Vec<JoinHandle<()>>>,
     /// When the log was told last of somebody who was turned away, and how many were since.
     away: Mutex<(Option<Instant>, u64)>,
@@ -79,6 +83,8 @@ pub(super) struct Shared {
 
 struct Want {
     times: usize,
+    /// There is a thread that dials.
+    dials: bool,
     /// Tells the thread that dials from one of an earlier want; rung when it is not wanted any more.
     bell: Arc<Waker>,
     line: Option<Arc<Line>>,
@@ -104,6 +110,7 @@ impl Lines {
             numbers: AtomicU64::new(1),
             over: AtomicBool::new(false),
             lines: Mutex::default(),
+            guests: Mutex::default(),
             threads: Mutex::default(),
             away: Mutex::default(),
         });
@@ -120,22 +127,21 @@ impl Lines {
     /// Each call needs one call to leave it.
     pub fn want(&self, place: &Place) {
         let mut wants = self.shared.wants.lock();
-        if let Some(want) = wants.get_mut(place) {
-            want.times += 1;
+        let want = wants.entry(place.clone()).or_insert_with(Want::new);
+        want.times += 1;
+        if want.dials {
             return;
         }
-        let bell = Arc::new(Waker::new());
-        let (shared, there, mine) = (self.shared.clone(), place.clone(), bell.clone());
+        let (shared, there, mine) = (self.shared.clone(), place.clone(), want.bell.clone());
         let thread = std::thread::Builder::new().name("trocar-line".into());
-        let begun = house::spawn(thread, move || shared.dial(&there, &mine));
-        let failed = match begun {
+        match house::spawn(thread, move || shared.dial(&there, &mine)) {
             Ok(thread) => {
+                want.dials = true;
                 self.shared.keep(thread);
-                None
             }
-            Err(e) => Some(Refused { why: format!("no thread to dial it: {e}"), for_long: false }),
-        };
-        wants.insert(place.clone(), Want { times: 1, bell, line: None, failed });
+            // The next call tries again.
+            Err(e) => want.failed = Some(format!("this process gets no thread to dial it: {e}").into()),
+        }
     }
 
     /// Leaves the line: this caller does not need it any more.
@@ -192,6 +198,10 @@ impl Drop for Lines {
 }
 
 impl Want {
+    fn new() -> Want {
+        Want { times: 0, dials: false, bell: Arc::new(Waker::new()), line: None, failed: None }
+    }
+
     fn end(self) {
         if let Some(line) = &self.line {
             line.end("ended from here");
@@ -259,13 +269,13 @@ impl Shared {
 
     fn call(&self, place: &Place) -> Result<(Met, Wire, Holder), Refused> {
         let until = Instant::now() + GREETING;
-        let stream = connect(&place.address)
+        let stream = connect(&place.address, until)
             .map_err(|why| format!("{} at {}: {why}", place.process, place.address))?;
         // The name is not looked at: a process is known by its certificate.
         let name = ServerName::IpAddress(std::net::IpAddr::from([127, 0, 0, 1]).into());
         let tls = ClientConnection::new(self.client.config(), name).map_err(|e| e.to_string())?;
         let (mut wire, holder, inbox) = Wire::greeted(stream, Connection::Client(tls), until)
-            .map_err(|why| format!("{} at {}: {why}", place.process, place.address))?;
+            .map_err(|refused| refused.by(&format!("{} at {}", place.process, place.address)))?;
         let met = call((&mut wire, inbox), &holder, &self.ends.who, until)?;
         let (wanted, found) = ((&place.process, &place.instance), (&met.who.process, &met.who.instance));
         if wanted != found {
@@ -273,12 +283,12 @@ impl Shared {
                 "{} answers at {}, in place of the run of {} that was meant",
                 found.0, place.address, wanted.0
             );
-            return Err(Refused { why, for_long: wanted.0 != found.0 });
+            return Err(Refused { why, for_long: true });
         }
         Ok((met, wire, holder))
     }
 
-    pub(super) fn line(&self, who: Who, holder: Holder, wire: Wire, clock: super::Clock) -> Arc<Line> {
+    pub(super) fn line(&self, who: Who, holder: Holder, wire: Wire, clock: Clock) -> Arc<Line> {
         Arc::new(Line {
             number: self.numbers.fetch_add(1, Ordering::Relaxed),
             who,
@@ -292,8 +302,26 @@ impl Shared {
         })
     }
 
+    /// Lets in a line that the other end has begun: a process has one, its newest.
+    pub(super) fn let_in(&self, line: &Arc<Line>, inbox: Inbox) -> Result<(), String> {
+        let mut guests = self.guests.lock();
+        let before = guests.iter().filter(|other| other.who.process == line.who.process);
+        before.for_each(|other| other.end("that process has called anew"));
+        guests.retain(|other| !other.is_lost());
+        if guests.len() >= MOST_GUESTS {
+            return Err(format!(
+                "{MOST_GUESTS} processes have lines to this one, which is as many as it takes"
+            ));
+        }
+        guests.push(line.clone());
+        drop(guests);
+        self.serve(line, inbox);
+        self.guests.lock().retain(|other| !Arc::ptr_eq(other, line));
+        Ok(())
+    }
+
     /// Serves a line on this thread until it is lost.
-    pub(super) fn serve(&self, line: &Arc<Line>, inbox: super::wire::Inbox) {
+    fn serve(&self, line: &Arc<Line>, inbox: Inbox) {
         self.lines.lock().push(line.clone());
         if self.over.load(Ordering::Acquire) {
             line.end("ended from here");
@@ -305,10 +333,14 @@ impl Shared {
     }
 }
 
-fn connect(address: &str) -> Result<TcpStream, String> {
+fn connect(address: &str, until: Instant) -> Result<TcpStream, String> {
     let mut why = "its name has no address".to_owned();
     for at in address.to_socket_addrs().map_err(|e| e.to_string())? {
-        match TcpStream::connect_timeout(&at, GREETING) {
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            break;
+        }
+        match TcpStream::connect_timeout(&at, left) {
             Ok(stream) => return Ok(stream),
             Err(e) => why = e.to_string(),
         }

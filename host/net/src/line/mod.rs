@@ -103,7 +103,8 @@ impl Line {
             return Err(Unsaid::Lost);
         }
         let mut said = self.said.lock();
-        if said.bytes + content.len() > MOST_WAITING {
+        // One message goes however long it is.
+        if said.bytes > 0 && said.bytes + content.len() > MOST_WAITING {
             return Err(Unsaid::Busy);
         }
         said.bytes += content.len();

@@ -11,7 +11,7 @@ use trocar_rt::house;
 use trocar_rt::os::now_ns;
 
 use super::greeting::{BEAT, beat_in, put_beat};
-use super::wire::{Came, Inbox, MOST_BYTES, Outbox};
+use super::wire::{Came, Inbox, MOST_BYTES, Outbox, is_nothing};
 use super::{Line, Traffic};
 use crate::revoked::Revoked;
 
@@ -19,8 +19,10 @@ use crate::revoked::Revoked;
 const BEAT_NS: u64 = 10_000_000;
 /// Silence after which a line is lost, ns.
 pub(super) const SILENT_NS: u64 = 100_000_000;
-/// Beats between two looks at the list of revoked certificates.
-const REVOKED_BEATS: u64 = 5;
+/// Time between two looks at the list of revoked certificates, ns.
+const JUDGED_NS: u64 = 50_000_000;
+/// Time in which the other end takes no byte, after which a line is lost.
+const STALLED: Duration = Duration::from_secs(1);
 /// Bytes of one read.
 const ROOM: usize = 128 << 10;
 
@@ -28,10 +30,10 @@ const ROOM: usize = 128 << 10;
 pub(super) fn run(line: &Arc<Line>, traffic: &Arc<dyn Traffic>, inbox: Inbox, revoked: Option<Arc<Revoked>>) {
     let sends = (line.clone(), traffic.clone());
     let thread = std::thread::Builder::new().name("trocar-line-out".into());
-    match house::spawn(thread, move || send(&sends.0, &*sends.1, revoked.as_deref())) {
+    match house::spawn(thread, move || send(&sends.0, &*sends.1)) {
         Err(e) => line.end(&format!("this process gets no thread for it: {e}")),
         Ok(thread) => {
-            let why = receive(line, &**traffic, inbox);
+            let why = receive(line, &**traffic, inbox, revoked.as_deref());
             line.end(&why);
             if thread.join().is_err() {
                 log::error!("the thread that sends to {} panicked", line.who.process);
@@ -41,33 +43,27 @@ pub(super) fn run(line: &Arc<Line>, traffic: &Arc<dyn Traffic>, inbox: Inbox, re
 }
 
 /// Receives until the line is over; returns why.
-fn receive(line: &Line, traffic: &dyn Traffic, mut inbox: Inbox) -> String {
+fn receive(line: &Line, traffic: &dyn Traffic, mut inbox: Inbox, revoked: Option<&Revoked>) -> String {
     let mut room = vec![0; ROOM];
-    if let Err(e) = line.wire.wait_for(Duration::from_nanos(BEAT_NS)) {
+    if let Err(e) = line.wire.wait_for(Duration::from_nanos(BEAT_NS), STALLED) {
         return e.to_string();
     }
-    let (mut heard_ns, mut looked_ns) = (now_ns(), now_ns());
+    let (mut heard_ns, mut looked_ns, mut judged_ns) = (now_ns(), now_ns(), now_ns());
     loop {
-        loop {
-            match inbox.next(MOST_BYTES) {
-                Ok(None) => break,
-                Err(why) => return format!("it said what it may not: {why}"),
-                Ok(Some((BEAT, content))) => match beat_in(content) {
-                    Ok(beat) => line.clock.heard(beat, now_ns()),
-                    Err(why) => return format!("it said what it may not: {why}"),
-                },
-                Ok(Some((kind, content))) => {
-                    if let Err(why) = traffic.came(kind, content) {
-                        return format!("it said what it may not: {why}");
-                    }
-                }
-            }
+        if let Err(why) = handle(line, traffic, &mut inbox) {
+            return format!("it said what it may not: {why}");
         }
         let came = line.wire.receive(&mut room, &mut inbox);
         if line.is_lost() {
             return "ended from here".into();
         }
         let now = now_ns();
+        if now >= judged_ns + JUDGED_NS {
+            judged_ns = now;
+            if revoked.is_some_and(|list| is_revoked(list, line)) {
+                return "its certificate was revoked".into();
+            }
+        }
         // Time this thread did not run does not count as silence.
         heard_ns += (now - looked_ns).saturating_sub(2 * BEAT_NS);
         looked_ns = now;
@@ -85,24 +81,31 @@ fn receive(line: &Line, traffic: &dyn Traffic, mut inbox: Inbox) -> String {
     }
 }
 
-fn send(line: &Line, traffic: &dyn Traffic, revoked: Option<&Revoked>) {
+/// Handles the messages that are complete.
+fn handle(line: &Line, traffic: &dyn Traffic, inbox: &mut Inbox) -> Result<(), String> {
+    while let Some((kind, content)) = inbox.next(MOST_BYTES)? {
+        match kind {
+            BEAT => line.clock.heard(beat_in(content)?, now_ns()),
+            kind => traffic.came(kind, content)?,
+        }
+    }
+    Ok(())
+}
+
+fn is_revoked(list: &Revoked, line: &Line) -> bool {
+    list.look();
+    list.has(&line.holder.serial)
+}
+
+fn send(line: &Line, traffic: &dyn Traffic) {
     let mut out = Outbox::default();
-    let (mut next_ns, mut beats) = (now_ns(), 0_u64);
+    let mut next_ns = now_ns();
     let mut more = false;
     while !line.lost.load(Ordering::Acquire) {
         let now = now_ns();
         if now >= next_ns {
             next_ns = now + BEAT_NS;
-            beats += 1;
             put_beat(&mut out, line.clock.beat(now));
-            if beats.is_multiple_of(REVOKED_BEATS)
-                && revoked.is_some_and(|list| {
-                    list.look();
-                    list.has(&line.holder.serial)
-                })
-            {
-                return line.end("its certificate was revoked");
-            }
         } else if !more {
             line.bell.wait(Some(next_ns));
         }
@@ -114,7 +117,11 @@ fn send(line: &Line, traffic: &dyn Traffic, revoked: Option<&Revoked>) {
             continue;
         }
         if let Err(e) = line.wire.send(out.bytes()) {
-            return line.end(&format!("it ended or closed the connection ({e})"));
+            let why = match is_nothing(&e) {
+                true => "it takes nothing any more".to_owned(),
+                false => format!("it ended or closed the connection ({e})"),
+            };
+            return line.end(&why);
         }
         out.clear();
     }

@@ -13,19 +13,23 @@ use crate::{Authority, Identity, Revoked, Role, Wish};
 /// For what comes in any case: a watchdog, not a claim.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// What a process hears of its lines.
+/// News that a process hears of its lines.
 enum News {
     Met(Arc<Line>),
     Came(u8, Vec<u8>),
     Lost(String),
 }
 
-struct Ear(Mutex<Sender<News>>);
+struct Ear {
+    tell: Mutex<Sender<News>>,
+    /// Whoever listens stands still at a message of kind 14 until this is let go.
+    gate: Arc<Mutex<()>>,
+}
 
 impl Ear {
     fn tell(&self, news: News) {
         // The test may be over.
-        let _ = self.0.lock().send(news);
+        let _ = self.tell.lock().send(news);
     }
 }
 
@@ -45,6 +49,9 @@ impl Traffic for Ear {
         if kind == 13 {
             return Err("thirteen".into());
         }
+        if kind == 14 {
+            drop(self.gate.lock());
+        }
         self.tell(News::Came(kind, content.to_vec()));
         Ok(())
     }
@@ -63,6 +70,7 @@ struct Process {
     lines: Lines,
     news: Receiver<News>,
     place: Place,
+    gate: Arc<Mutex<()>>,
 }
 
 impl Process {
@@ -130,10 +138,12 @@ fn start(name: &str, identity: Arc<Identity>, revoked: Arc<Revoked>) -> Process 
     let (tell, news) = channel();
     let who = Who { process: name.into(), instance: format!("{name}-1") };
     let ends = Ends { who: who.clone(), identity, revoked: Some(revoked) };
-    let lines = Lines::start(([127, 0, 0, 1], 0).into(), ends, Arc::new(Ear(Mutex::new(tell)))).unwrap();
+    let gate = Arc::new(Mutex::new(()));
+    let ear = Ear { tell: Mutex::new(tell), gate: gate.clone() };
+    let lines = Lines::start(([127, 0, 0, 1], 0).into(), ends, Arc::new(ear)).unwrap();
     let address = format!("127.0.0.1:{}", lines.port());
     let place = Place { process: who.process, instance: who.instance, address };
-    Process { lines, news, place }
+    Process { lines, news, place, gate }
 }
 
 #[test]
@@ -249,4 +259,56 @@ fn a_process_that_is_not_there_is_called_until_it_is() {
     assert!(left.lines.refused(&nobody).is_none(), "to wait may help");
     left.lines.stop();
     assert!(left.lines.line(&nobody).is_none());
+}
+
+#[test]
+fn whoever_takes_leave_and_goes_on_is_read_no_more() {
+    let mut lab = Lab::new();
+    let right = lab.process("right");
+    let client = crate::Client::of_processes(lab.identity("left"), None, &["trocar-line"]).unwrap();
+    let name = rustls::pki_types::ServerName::try_from("trocar").unwrap();
+    let mut tls = rustls::ClientConnection::new(client.config(), name).unwrap();
+    let mut stream = TcpStream::connect(&right.place.address).unwrap();
+    while tls.is_handshaking() {
+        tls.complete_io(&mut stream).unwrap();
+    }
+    tls.send_close_notify();
+    while tls.wants_write() {
+        tls.write_tls(&mut stream).unwrap();
+    }
+    // The other end may have gone already.
+    let _ = stream.write_all(&[0; 1000]);
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let ended = std::io::Read::read_to_end(&mut stream, &mut Vec::new());
+    let waited = ended.is_err_and(|e| e.kind() == std::io::ErrorKind::WouldBlock);
+    assert!(!waited, "the connection is not ended");
+}
+
+#[test]
+fn a_process_that_calls_anew_has_its_newest_line_alone() {
+    let mut lab = Lab::new();
+    let (right, left) = (lab.process("right"), lab.process("left"));
+    left.lines.want(&right.place);
+    let first = right.meets();
+    let again = lab.process("left");
+    again.lines.want(&right.place);
+    assert!(right.loses().contains("called anew"));
+    assert!(first.is_lost());
+}
+
+#[test]
+fn a_line_whose_other_end_takes_nothing_is_lost() {
+    let mut lab = Lab::new();
+    let (left, right) = (lab.process("left"), lab.process("right"));
+    left.lines.want(&right.place);
+    left.meets();
+    let line = right.meets();
+    let shut = left.gate.lock();
+    line.say(14, Vec::new()).unwrap();
+    // As much as the machine keeps, and more.
+    while line.say(15, vec![0; 1 << 20]) != Err(Unsaid::Lost) {
+        std::thread::yield_now();
+    }
+    assert!(right.loses().contains("takes nothing"));
+    drop(shut);
 }

@@ -11,15 +11,18 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 use rustls::Connection;
 
+use super::greeting::Refused;
 use crate::holder::Holder;
 use crate::tls::said;
 
-/// The longest message: a frame of a large camera fits.
-pub const MOST_BYTES: usize = 256 << 20;
+/// The longest content of a message: a frame of a large camera fits.
+pub const MOST_BYTES: usize = 64 << 20;
 /// The longest message of a greeting.
 pub(super) const MOST_GREETING: usize = 4096;
 /// Bytes of length and kind.
 const HEAD: usize = 5;
+/// Bytes of room that stay for the next messages.
+const KEPT: usize = 1 << 20;
 /// Bytes that are encrypted before the receiving thread may come in between.
 const AT_ONCE: usize = 64 << 10;
 
@@ -50,11 +53,12 @@ impl Outbox {
 
     pub(super) fn clear(&mut self) {
         self.bytes.clear();
-        // One large frame does not stay for ever.
-        self.bytes.shrink_to(1 << 20);
+        // One large message does not stay for ever.
+        self.bytes.shrink_to(KEPT);
     }
 
-    pub(super) fn bytes(&self) -> &[u8] {
+    /// The messages as they are sent.
+    pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 }
@@ -95,7 +99,10 @@ impl Inbox {
     /// Moves what is not complete to the front.
     fn tidy(&mut self) {
         self.bytes.drain(..std::mem::take(&mut self.done));
-        self.bytes.shrink_to(1 << 20);
+        // One large message does not stay for ever; the next pieces of one that is coming find their room.
+        if self.bytes.is_empty() {
+            self.bytes.shrink_to(KEPT);
+        }
     }
 }
 
@@ -104,7 +111,7 @@ pub(super) struct Wire {
     tls: Mutex<Connection>,
 }
 
-/// What came of one look at a connection.
+/// Result of one look at a connection.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Came {
     Bytes,
@@ -121,8 +128,10 @@ impl Wire {
         stream: TcpStream,
         tls: Connection,
         until: Instant,
-    ) -> Result<(Wire, Holder, Inbox), String> {
+    ) -> Result<(Wire, Holder, Inbox), Refused> {
         stream.set_nodelay(true).map_err(|e| e.to_string())?;
+        let left = until.saturating_duration_since(Instant::now()).max(Duration::from_millis(1));
+        stream.set_write_timeout(Some(left)).map_err(|e| e.to_string())?;
         let mut wire = Wire { stream, tls: Mutex::new(tls) };
         let (mut room, mut inbox) = ([0; 4096], Inbox::default());
         while wire.tls.get_mut().is_handshaking() {
@@ -136,7 +145,7 @@ impl Wire {
         }
         wire.flush().map_err(|e| e.to_string())?;
         let certificates = wire.tls.get_mut().peer_certificates().unwrap_or_default();
-        let shown = certificates.first().ok_or("it shows no certificate")?;
+        let shown = certificates.first().ok_or_else(|| "it shows no certificate".to_owned())?;
         let holder = Holder::of(shown)?;
         Ok((wire, holder, inbox))
     }
@@ -159,7 +168,7 @@ impl Wire {
     }
 
     /// Waits for one message of a greeting.
-    pub(super) fn hear(&mut self, inbox: &mut Inbox, until: Instant) -> Result<(u8, Vec<u8>), String> {
+    pub(super) fn hear(&mut self, inbox: &mut Inbox, until: Instant) -> Result<(u8, Vec<u8>), Refused> {
         let mut room = [0; 4096];
         loop {
             if let Some((kind, content)) = inbox.next(MOST_GREETING)? {
@@ -170,35 +179,39 @@ impl Wire {
         }
     }
 
-    /// Sets how long [`Wire::receive`] waits at most.
-    pub(super) fn wait_for(&self, pause: Duration) -> io::Result<()> {
-        self.stream.set_read_timeout(Some(pause))
+    /// Sets how long [`Wire::receive`] waits at most for a byte, and [`Wire::send`] until one is taken.
+    pub(super) fn wait_for(&self, come: Duration, go: Duration) -> io::Result<()> {
+        self.stream.set_read_timeout(Some(come))?;
+        self.stream.set_write_timeout(Some(go))
     }
 
     /// Looks for bytes, for the receiving thread.
     pub(super) fn receive(&self, room: &mut [u8], inbox: &mut Inbox) -> Result<Came, String> {
         match (&self.stream).read(room) {
             Ok(0) => Ok(Came::End),
-            Ok(n) => self.take_in(&room[..n], inbox).map(|()| Came::Bytes),
+            Ok(n) => self.take_in(&room[..n], inbox).map(|()| Came::Bytes).map_err(|refused| refused.why),
             Err(e) if is_nothing(&e) => Ok(Came::Nothing),
             Err(e) => Err(e.to_string()),
         }
     }
 
-    fn take_in(&self, mut bytes: &[u8], inbox: &mut Inbox) -> Result<(), String> {
+    fn take_in(&self, mut bytes: &[u8], inbox: &mut Inbox) -> Result<(), Refused> {
         let mut tls = self.tls.lock();
         while !bytes.is_empty() {
-            tls.read_tls(&mut bytes).map_err(|e| e.to_string())?;
+            // After the other end has taken leave nothing more is read.
+            if tls.read_tls(&mut bytes).map_err(|e| e.to_string())? == 0 {
+                return Err("it ended the connection".to_owned().into());
+            }
             if let Err(e) = tls.process_new_packets() {
                 // The other end is told why.
                 let mut alert = Vec::new();
                 let _ = tls.write_tls(&mut alert);
                 drop(tls);
                 let _ = (&self.stream).write_all(&alert);
-                return Err(said(&e));
+                return Err(Refused { why: said(&e), for_long: true });
             }
             match tls.reader().read_to_end(&mut inbox.bytes) {
-                Err(e) if e.kind() != io::ErrorKind::WouldBlock => return Err(e.to_string()),
+                Err(e) if e.kind() != io::ErrorKind::WouldBlock => return Err(e.to_string().into()),
                 _ => {}
             }
         }
@@ -240,7 +253,8 @@ impl Wire {
     }
 }
 
-fn is_nothing(e: &io::Error) -> bool {
+/// Tells whether an attempt came to nothing for now.
+pub(super) fn is_nothing(e: &io::Error) -> bool {
     matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted)
 }
 

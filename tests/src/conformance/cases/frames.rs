@@ -166,7 +166,7 @@ pub fn an_exhausted_pool_is_a_counted_drop(way: &Way) {
     }
     publish(&lab, 6);
     if way.reach() == Reach::Machine {
-        // What is in the hands of other machines takes nothing from the pool here.
+        // A frame in the hands of another machine takes nothing from the pool here.
         assert_eq!((lab.count("server", "samples"), lab.count("server", "exhausted")), (10, 0));
         return;
     }

@@ -116,7 +116,13 @@ pub fn a_full_queue_refuses_and_keeps_what_it_has(way: &Way) {
         serde_json::json!([1.0, 2.0, 3.0, 4.0]).as_array().expect("a list")[..]
     );
     let dropped: u64 = lab.links().iter().map(|l| l.dropped).sum();
-    assert_eq!(dropped, full, "every refusal is counted on the connection");
+    // Each write tells the client, whose queue of events is as short: those of the writes beyond may find it
+    // full.
+    let unheard = queued - 4;
+    assert!(
+        (full..=full + unheard).contains(&dropped),
+        "every refusal is counted on the connection: {dropped}"
+    );
 }
 
 pub fn a_full_queue_gives_up_its_oldest_where_the_command_says_so(way: &Way) {

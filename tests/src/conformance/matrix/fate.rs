@@ -74,7 +74,7 @@ fn called(reach: Reach, situation: Situation) -> Fate {
         ) => Fate::WouldBlock,
         // The thread that would run it waits for the very thread that calls.
         (Situation::AThreadOfItsOwn, Reach::Thread) => Fate::TooLate,
-        // What is on its way to another machine may have begun.
+        // A call on its way to another machine may have begun.
         (Situation::ABusyServer, Reach::Machine) => Fate::StillRuns,
         (Situation::ABusyServer, _) => Fate::TooLate,
         (

@@ -100,7 +100,7 @@ fn call(kind: Kind, mode: Mode, x: f64) -> Call {
     }
 }
 
-/// What commands come to that find room in a queue nobody looks into.
+/// The fate of commands that find room in a queue nobody looks into.
 fn first_of(mode: Mode) -> Fate {
     match mode {
         Mode::Send => Fate::Queued,
@@ -236,7 +236,7 @@ impl<'a> Stage<'a> {
         }
         all.take(first.outcome(), taken);
         all.take(Outcome::QueueFull, all.count(Outcome::QueueFull).saturating_sub(1));
-        // Those that are on their way may have begun.
+        // Calls that are on their way may have begun.
         all.may_still_run = 0;
         all
     }

@@ -12,7 +12,7 @@ use parking_lot::Mutex;
 use trocar_lcm_api::LinkDetail;
 use trocar_net::line::{Clock, Outbox};
 use trocar_plugin_api::abi::{DEADLINE, NOT_ACTIVE, Outcome, PEER_LOST, QUEUE_FULL};
-use trocar_rt::mailbox::{EntryHead, Push};
+use trocar_rt::mailbox::{EntryHead, Overflow, Push};
 use trocar_rt::os;
 use trocar_rt::reply::{Reply, Ticket};
 use trocar_rt::segment::{Agreed, CallShape, RemoteCalls};
@@ -26,10 +26,15 @@ use super::super::super::instance::Instance;
 use super::codec::{message, put, put_short, state_of};
 use super::{Kind, Link, StandIn, Take};
 
+/// Bytes of rows that the other end has before it is ready.
+const MOST_STATE: usize = 1 << 20;
+
 pub(super) struct AbsentClient {
     calls: RemoteCalls,
     /// The commands by their index.
     lanes: Vec<Lane>,
+    /// Commands that may wait in the queue of the server.
+    depth: u64,
     /// Rung when there is something to send.
     bell: Arc<Waker>,
     book: Mutex<Book>,
@@ -55,7 +60,7 @@ struct Book {
     told: Told,
 }
 
-/// What the other end was told.
+/// News that the other end was told.
 #[derive(Default)]
 struct Told {
     /// Publications of each read's results and sentences.
@@ -111,20 +116,21 @@ impl AbsentClient {
         shape: &CallShape,
         agreed: Agreed,
         (lanes, bell): (Vec<Lane>, Arc<Waker>),
-        server: &Arc<Instance>,
+        server: Weak<Instance>,
     ) -> Result<AbsentClient, String> {
         let calls = RemoteCalls::open(memory, shape, agreed).map_err(|e| e.to_string())?;
         Ok(AbsentClient {
+            depth: shape.depth.max(1) as u64,
             calls,
             lanes,
             bell,
             book: Mutex::default(),
             refused: AtomicU64::new(0),
-            server: Arc::downgrade(server),
+            server,
         })
     }
 
-    /// Puts a command into the queue of the server.
+    /// Handles a command that came.
     fn command(&self, mut content: Take<'_>, clock: &Clock) -> Result<(), String> {
         let [token, time_ns] = [content.u64()?, content.u64()?];
         let [index, kind] = [content.u32()?, content.u32()?];
@@ -135,62 +141,75 @@ impl AbsentClient {
         }
         let mut book = self.book.lock();
         book.came += 1;
-        let refuse = |book: &mut Book, outcome| match token {
-            0 => _ = self.refused.fetch_add(1, Ordering::Relaxed),
-            _ => book.answers.push(Answer::bare(token, outcome)),
-        };
-        let ticket = match token {
-            0 => None,
-            _ => match self.calls.replies.acquire() {
-                None => {
-                    refuse(&mut book, QUEUE_FULL);
-                    self.bell.notify();
-                    return Ok(());
-                }
-                ticket => ticket,
-            },
-        };
-        let stamp_ns = clock.here(time_ns);
-        let reply = ticket.as_ref().map_or(0, Ticket::token);
-        let pushed = match Presence::of(self.calls.server.get()) {
-            Presence::Active => {
-                let head = EntryHead { kind, index, reply, stamp_ns };
-                match self.calls.commands.push(head, arg, lane.overflow) {
-                    Push::Queued => Ok(()),
-                    Push::DroppedOldest(old) => {
-                        replaced(&self.calls.replies, old.reply);
-                        Ok(())
-                    }
-                    Push::Full | Push::TooLong => Err(QUEUE_FULL),
-                    Push::Closed => Err(PEER_LOST),
-                }
+        // As many as its own queue holds come after the cut, whatever room is here.
+        if !book.ready || book.came.saturating_sub(book.told.took) > 2 * self.depth {
+            return Err("more commands than there is room for".into());
+        }
+        let head = EntryHead { kind, index, reply: 0, stamp_ns: clock.here(time_ns) };
+        match self.put(head, arg, lane.overflow, token != 0) {
+            Ok(None) => {}
+            Ok(Some(ticket)) => {
+                let until_ns = if kind == ENTRY_DUE { head.stamp_ns } else { u64::MAX };
+                book.waiting.push(Waiting { token, until_ns, ret_bytes: lane.ret_bytes, ticket });
             }
-            Presence::NotActive => Err(NOT_ACTIVE),
-            Presence::Gone => Err(PEER_LOST),
-        };
-        match (pushed, ticket) {
-            (Err(outcome), _) => {
-                // A full queue counts them itself.
-                if outcome != QUEUE_FULL
-                    && let Some(server) = self.server.upgrade()
-                {
-                    server.books.lose(false, 1);
-                }
-                refuse(&mut book, outcome);
+            Err(outcome) if token != 0 => {
+                book.answers.push(Answer::bare(token, outcome));
                 self.bell.notify();
             }
-            (Ok(()), Some(ticket)) => {
-                // The server may have been stopped since: then nobody looks into the queue any more.
-                if Presence::of(self.calls.server.get()) != Presence::Active {
-                    self.calls.replies.fail(ticket.token(), NOT_ACTIVE);
-                }
-                let until_ns = if kind == ENTRY_DUE { stamp_ns } else { u64::MAX };
-                book.waiting.push(Waiting { token, until_ns, ret_bytes: lane.ret_bytes, ticket });
-                self.calls.for_server.notify();
-            }
-            (Ok(()), None) => _ = self.calls.for_server.notify(),
+            Err(_) => _ = self.refused.fetch_add(1, Ordering::Relaxed),
         }
         Ok(())
+    }
+
+    /// Puts a command into the queue of the server; returns the right to the answer, if one is wanted.
+    ///
+    /// # Errors
+    /// The reason why it is not queued.
+    fn put(
+        &self,
+        head: EntryHead,
+        arg: &[u8],
+        overflow: Overflow,
+        is_call: bool,
+    ) -> Result<Option<Ticket>, Outcome> {
+        let away = || match Presence::of(self.calls.server.get()) {
+            Presence::Active => None,
+            Presence::NotActive => Some(NOT_ACTIVE),
+            Presence::Gone => Some(PEER_LOST),
+        };
+        let ticket = match is_call {
+            true => Some(self.calls.replies.acquire().ok_or(QUEUE_FULL)?),
+            false => None,
+        };
+        let reply = ticket.as_ref().map_or(0, Ticket::token);
+        if let Some(away) = away() {
+            return Err(self.too_late(away));
+        }
+        match self.calls.commands.push(EntryHead { reply, ..head }, arg, overflow) {
+            Push::Queued => {}
+            Push::DroppedOldest(old) => {
+                replaced(&self.calls.replies, old.reply);
+                self.bell.notify();
+            }
+            // A full queue counts them itself.
+            Push::Full | Push::TooLong => return Err(QUEUE_FULL),
+            Push::Closed => return Err(self.too_late(PEER_LOST)),
+        }
+        self.calls.for_server.notify();
+        // The server may have been stopped since: then nobody looks into the queue any more.
+        if let Some(away) = away() {
+            self.calls.replies.fail(reply, away);
+            self.bell.notify();
+        }
+        Ok(ticket)
+    }
+
+    /// Counts a command that comes to nothing in the books of the server.
+    fn too_late(&self, outcome: Outcome) -> Outcome {
+        if let Some(server) = self.server.upgrade() {
+            server.books.lose(false, 1);
+        }
+        outcome
     }
 }
 
@@ -208,7 +227,7 @@ impl Book {
             match taken {
                 Ok(Reply::Done(outcome)) => self.answers.push(Answer { token, outcome, value, text }),
                 Ok(_) => self.answers.push(Answer::bare(token, DEADLINE)),
-                // What has not begun by then never will; what has is carried to its end.
+                // A call that has not begun by then never will; one that has is carried to its end.
                 Err(ticket) => match if now_ns > until_ns { ticket.recall() } else { Err(ticket) } {
                     Ok(()) => self.answers.push(Answer::bare(token, DEADLINE)),
                     Err(ticket) => self.waiting.push(Waiting { token, until_ns, ret_bytes, ticket }),
@@ -276,7 +295,7 @@ impl StandIn for AbsentClient {
         }
         let took = came.saturating_sub(self.calls.commands.stats().queued);
         if std::mem::replace(&mut told.took, took) != took {
-            message(out, link, Kind::Took, |bytes| put(bytes, [took]));
+            message(out, link, Kind::Took, |bytes| put(bytes, [took, *came]));
         }
         false
     }
@@ -289,6 +308,10 @@ impl StandIn for AbsentClient {
         };
         put_news(&self.calls.whys, &mut Vec::new(), Kind::Why, &mut put_row);
         put_news(&self.calls.reads, &mut Vec::new(), Kind::Result, &mut put_row);
+        if state.len() > MOST_STATE {
+            // They come when the other end is ready.
+            (state, rows) = (Vec::new(), 0);
+        }
         state_of(&mut state, Kind::Standing, &self.calls.server.get().to_le_bytes());
         self.book.lock().sent += rows + 1;
         state
@@ -313,6 +336,6 @@ impl StandIn for AbsentClient {
     fn is_over(&self) -> bool {
         let book = self.book.lock();
         // Commands that are on their way still come, and are answered or counted.
-        !book.ready || (book.left && book.waiting.is_empty() && book.answers.is_empty())
+        book.left && book.waiting.is_empty() && book.answers.is_empty()
     }
 }

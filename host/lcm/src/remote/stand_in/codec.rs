@@ -18,7 +18,7 @@ pub(in super::super) enum Kind {
     Frame = 4,
     /// A command: token, time, index, kind; its argument.
     Command = 5,
-    /// How many commands the server has taken out of its queue.
+    /// Counts of commands: those that the server has taken out of its queue, and those that have come there.
     Took = 6,
     /// An answer: token, outcome, bytes of the value; value and sentence.
     Answer = 7,
@@ -85,7 +85,7 @@ pub(super) fn state_of(state: &mut Vec<u8>, kind: Kind, content: &[u8]) {
     state.extend_from_slice(content);
 }
 
-/// What is left of a message.
+/// The rest of a message.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Take<'a>(&'a [u8]);
 

@@ -10,6 +10,8 @@ mod client;
 mod codec;
 mod reader;
 mod server;
+#[cfg(test)]
+mod tests;
 mod writer;
 
 use std::os::fd::OwnedFd;
@@ -28,6 +30,9 @@ use super::server::Offer;
 use super::terms::{Way, commands};
 pub(super) use codec::{Kind, Link, Take};
 
+/// Most stand-ins of one line whose connections were cut while calls were under way.
+const MOST_LEAVING: usize = 64;
+
 /// Somebody who stands in for the other end of one connection.
 pub(super) trait StandIn: Send + Sync {
     /// Takes in a message of the stand-in at the other end.
@@ -39,13 +44,18 @@ pub(super) trait StandIn: Send + Sync {
     /// Appends what is to be sent now; true: there is more.
     fn fill(&self, link: Link, out: &mut Outbox) -> bool;
 
-    /// What the other end is to know before it is ready.
+    /// Rows and state of the server, for the other end to begin with.
     fn state(&self) -> Vec<u8> {
         Vec::new()
     }
 
     /// Corrects the figures of the end that is here by what happens between the two memories.
     fn correct(&self, detail: &mut LinkDetail);
+
+    /// Commands that the loss of the line leaves undone, as far as is known here.
+    fn lost(&self) -> u64 {
+        0
+    }
 
     /// The connection was cut.
     fn leave(&self) {}
@@ -98,7 +108,8 @@ impl StandIns {
         let memory = offer.fd().map_err(|e| e.to_string())?;
         offer.ring(bell);
         let stand_in: Arc<dyn StandIn> = match (offer, way) {
-            (Offer::Output { pools, .. }, Way::Stream { shape, .. }) => {
+            (Offer::Output { pools, .. }, Way::Stream { ty, shape, .. }) => {
+                writer::carries(ty)?;
                 let views = RemoteViews::new(way.header_bytes());
                 Arc::new(reader::AbsentReader::open(memory, *shape, agreed, (pools.clone(), views))?)
             }
@@ -106,7 +117,13 @@ impl StandIns {
                 let all = commands(server);
                 let bound = binding.functions.iter().enumerate();
                 let lanes = bound.map(|(index, (_, id))| lane(all[*id], index)).collect();
-                Arc::new(client::AbsentClient::open(memory, shape, agreed, (lanes, bell.clone()), instance)?)
+                Arc::new(client::AbsentClient::open(
+                    memory,
+                    shape,
+                    agreed,
+                    (lanes, bell.clone()),
+                    Arc::downgrade(instance),
+                )?)
             }
             _ => return Err("the component's ports are others by now".into()),
         };
@@ -122,9 +139,10 @@ impl StandIns {
         let bell = self.line.bell().clone();
         let views = RemoteViews::new(way.header_bytes());
         let (stand_in, memory): (Arc<dyn StandIn>, _) = match way {
-            Way::Stream { shape, depth, .. } => {
-                let (writer, memory) = writer::AbsentWriter::create(*shape, *depth, agreed, views.clone())
-                    .map_err(|e| e.to_string())?;
+            Way::Stream { ty, shape, depth, .. } => {
+                let (writer, memory) =
+                    writer::AbsentWriter::create(ty, (*shape, *depth), agreed, views.clone())
+                        .map_err(|e| e.to_string())?;
                 (Arc::new(writer), memory)
             }
             Way::Calls { shape, .. } => {
@@ -138,6 +156,11 @@ impl StandIns {
             stand_in.came(kind, content, self.line.clock())?;
         }
         Ok(Placed { stand_in, memory, views })
+    }
+
+    /// A time of the other end's clock, by this one.
+    pub(super) fn here(&self, theirs_ns: u64) -> u64 {
+        self.line.clock().here(theirs_ns)
     }
 
     /// The bell of whoever sends.
@@ -162,6 +185,12 @@ impl StandIns {
         for entry in all.iter_mut().filter(|entry| entry.link == link) {
             entry.leaving = true;
             entry.stand_in.leave();
+        }
+        // A peer that leaves calls unanswered, or never says that it has left, keeps so many.
+        if all.iter().filter(|entry| entry.leaving).count() > MOST_LEAVING
+            && let Some(oldest) = all.iter().position(|entry| entry.leaving)
+        {
+            all.remove(oldest);
         }
         drop(all);
         self.line.bell().notify();

@@ -5,7 +5,7 @@
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use parking_lot::Mutex;
 use trocar_lcm_api::LinkDetail;
@@ -15,6 +15,7 @@ use trocar_rt::segment::{Agreed, Stream, StreamShape};
 use trocar_rt::stream::{Payload, RemotePools, RemoteViews, StreamReader};
 
 use super::codec::{message, put, put_short};
+use super::writer::MOST_FRAME;
 use super::{Kind, Link, StandIn, Take};
 
 /// Bytes after which others of the line have their turn.
@@ -27,6 +28,8 @@ pub(super) struct AbsentReader {
     pools: Arc<RemotePools>,
     views: Arc<RemoteViews>,
     end: Mutex<End>,
+    /// Frames that no message holds.
+    too_long: AtomicU64,
 }
 
 struct End {
@@ -51,6 +54,7 @@ impl AbsentReader {
             pools,
             views,
             end,
+            too_long: AtomicU64::new(0),
         })
     }
 
@@ -88,6 +92,11 @@ impl StandIn for AbsentReader {
         let until = out.len() + AT_ONCE;
         while out.len() < until {
             let Some(sample) = stream.end.next() else { return false };
+            if sample.data.len() + sample.bytes.len() > MOST_FRAME {
+                self.too_long.fetch_add(1, Ordering::Relaxed);
+                stream.end.release();
+                continue;
+            }
             let kind = if self.frames { Kind::Frame } else { Kind::Sample };
             message(out, link, kind, |content| {
                 put(content, [sample.meta.seq, sample.meta.stamp_ns, sample.meta.came_ns]);
@@ -106,12 +115,14 @@ impl StandIn for AbsentReader {
     }
 
     fn correct(&self, detail: &mut LinkDetail) {
-        // What the reader has seen, its own end tells.
+        // The reader's own end tells of the samples it has seen.
         (detail.passed, detail.bytes) = (0, 0);
+        let too_long = self.too_long.load(Ordering::Relaxed);
+        detail.dropped += too_long;
         let end = self.end.lock();
         let stats = end.stream.end.stats();
-        // What still waits is lost with the writer.
+        // Samples that still wait are lost with the writer.
         let waits = if end.stream.end.has_writer() { stats.pushed.saturating_sub(stats.dropped) } else { 0 };
-        detail.sent = stats.taken.max(waits);
+        detail.sent = stats.taken.max(waits).saturating_sub(too_long);
     }
 }

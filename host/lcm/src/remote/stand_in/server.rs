@@ -52,8 +52,9 @@ struct Book {
     /// The connection is cut; then whether the other end was told.
     leaving: bool,
     left: bool,
-    /// Commands the server has taken out of its queue.
+    /// Commands the server has taken out of its queue, and those that have come there.
     took: u64,
+    arrived: u64,
 }
 
 impl AbsentServer {
@@ -70,7 +71,7 @@ impl AbsentServer {
         let tables = Mutex::new(Tables { results, whys });
         let server = AbsentServer {
             calls,
-            depth: shape.depth as u64,
+            depth: shape.depth.max(1) as u64,
             tables,
             book: Mutex::default(),
             bell,
@@ -133,7 +134,9 @@ impl StandIn for AbsentServer {
             Kind::Result | Kind::Why => self.row(kind, content, clock)?,
             Kind::Standing => self.calls.server.set(content.u64()?),
             Kind::Took => {
-                self.book.lock().took = content.u64()?;
+                let mut book = self.book.lock();
+                (book.took, book.arrived) = (content.u64()?, content.u64()?);
+                drop(book);
                 self.bell.notify();
             }
             other => return Err(format!("{other:?} of a server")),
@@ -146,7 +149,7 @@ impl StandIn for AbsentServer {
 
     fn fill(&self, link: Link, out: &mut Outbox) -> bool {
         let mut book = self.book.lock();
-        let Book { running, sent, took, leaving, left } = &mut *book;
+        let Book { running, sent, took, leaving, left, .. } = &mut *book;
         let mut room = self.depth.saturating_sub(sent.saturating_sub(*took));
         if *leaving {
             // The other end takes what was sent before the cut, and counts what it does not carry out.
@@ -171,6 +174,8 @@ impl StandIn for AbsentServer {
         let skip = |head: EntryHead| replaced(&self.calls.replies, head.reply);
         self.calls.commands.drain_some(room as usize, send, skip);
         if *leaving && !std::mem::replace(left, true) {
+            // A caller that was just inside the old binding is answered.
+            self.calls.commands.close(|head| _ = self.calls.replies.fail(head.reply, PEER_LOST));
             message(out, link, Kind::Left, |_| ());
         }
         false
@@ -178,6 +183,12 @@ impl StandIn for AbsentServer {
 
     fn correct(&self, detail: &mut LinkDetail) {
         detail.came = self.came.load(Ordering::Relaxed);
+    }
+
+    /// Those that wait here, and those that are not known to have come there.
+    fn lost(&self) -> u64 {
+        let book = self.book.lock();
+        self.calls.commands.stats().queued + book.sent.saturating_sub(book.arrived)
     }
 
     fn leave(&self) {
