@@ -5,9 +5,11 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
+use tonic::transport::Channel;
 use trocar::Host;
 use trocar::host::{HostBuilder, HostError};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel, Refusal};
+use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 use trocar_tests::{Built, World, eventually};
 
 /// Time a job gets.
@@ -62,6 +64,15 @@ impl Lab {
     /// Where it listens.
     pub(crate) fn address(&self) -> String {
         self.host().addr().expect("it was told to listen").to_string()
+    }
+
+    /// A caller from outside, and what it waits on.
+    pub(crate) fn client(&self) -> (GcmServiceClient<Channel>, Runtime) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.expect("a runtime can be made");
+        let endpoint = Channel::from_shared(format!("http://{}", self.address()));
+        let channel = runtime.block_on(endpoint.expect("an address of this machine").connect());
+        (GcmServiceClient::new(channel.expect("the host answers")), runtime)
     }
 
     fn path(&self, name: &str) -> String {

@@ -12,6 +12,7 @@ mod grid;
 mod grpc;
 mod lab;
 mod loading;
+mod machines;
 mod processes;
 mod rebinding;
 mod steps;
@@ -27,7 +28,7 @@ use table::Table;
 const SECONDS: u64 = 60;
 /// Processes killed unless told otherwise.
 const KILLS: usize = 50;
-const SUBJECTS: [&str; 18] = [
+const SUBJECTS: [&str; 20] = [
     "inline",
     "queued",
     "steps",
@@ -40,6 +41,8 @@ const SUBJECTS: [&str; 18] = [
     "processes/links",
     "processes/crash",
     "processes/allocations",
+    "machines/samples",
+    "machines/beside",
     "eyesaw/load",
     "eyesaw/spectra",
     "eyesaw/scan",
@@ -53,6 +56,14 @@ fn main() -> ExitCode {
     let mut args = std::env::args().skip(1).peekable();
     if args.next_if(|first| first == bare::OTHER_END).is_some() {
         bare::run_other_end(&args.collect::<Vec<_>>());
+        return ExitCode::SUCCESS;
+    }
+    if args.next_if(|first| first == machines::bare::OTHER_END).is_some() {
+        machines::bare::run_other_end(&args.collect::<Vec<_>>());
+        return ExitCode::SUCCESS;
+    }
+    if args.next_if(|first| first == machines::INSIDE).is_some() {
+        machines::run_inside();
         return ExitCode::SUCCESS;
     }
     if args.next_if(|first| first == allocations::HOST).is_some() {
@@ -96,6 +107,7 @@ fn main() -> ExitCode {
                 loading::measure(&mut table);
                 grpc::measure(&mut table);
             }
+            subject if is_of(subject, "machines") => machines::measure(subject, &mut table),
             _ => processes::measure(subject, &mut table),
         }
     }

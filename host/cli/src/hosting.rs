@@ -68,6 +68,11 @@ pub(super) struct HostArgs {
     /// GCM of another machine is reached, or beside --listen-tls].
     #[arg(long, value_name = "ADDR")]
     listen_lines: Option<String>,
+    /// Mbit/s that frames and other large samples take at most on the way to one process of another
+    /// machine, so that what is urgent need not wait behind them: some 94 of 100 of the slowest link
+    /// [default: as many as it takes].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    line_mbps: Option<u32>,
     #[command(flatten)]
     tie: Tie,
 }
@@ -88,7 +93,7 @@ pub(super) struct MachineArgs {
 impl MachineArgs {
     pub(super) fn machines(self) -> Machines {
         let MachineArgs { listen_tls: listen, revoked } = self;
-        Machines { identity: session::identity(), listen, lines: None, revoked }
+        Machines { identity: session::identity(), listen, lines: None, line_mbps: None, revoked }
     }
 }
 
@@ -174,7 +179,11 @@ async fn serve(args: HostArgs, session: &Session) -> Done {
         plugins: plugin_dirs(args.plugins),
         listen: Some(args.listen),
         rules: args.port.rules(),
-        machines: Machines { lines: args.listen_lines, ..args.machines.machines() },
+        machines: Machines {
+            lines: args.listen_lines,
+            line_mbps: args.line_mbps,
+            ..args.machines.machines()
+        },
         state: StateChoice::Durable(state),
         fresh: args.fresh,
         gcm: session.explicit_gcm().map(str::to_owned),

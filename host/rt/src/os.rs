@@ -7,6 +7,7 @@ mod environment;
 mod forked;
 mod household;
 mod manners;
+mod sockets;
 
 use std::fmt;
 use std::sync::atomic::AtomicU32;
@@ -17,6 +18,7 @@ pub use environment::Environment;
 pub use forked::{Unshared, unshared};
 pub use household::{Household, keep_streams, standard_error};
 pub use manners::{Hygiene, reset_rounding, rounding, set_sigmask, thread_hygiene};
+pub use sockets::{set_most_rate, set_most_unsent, set_priority};
 
 /// Ns of CLOCK_MONOTONIC. Any thread, about 25 ns, no system call.
 pub fn now_ns() -> u64 {

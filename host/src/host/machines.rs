@@ -10,6 +10,9 @@ use super::HostError;
 use crate::control::{Dialler, Secured};
 use crate::lcm::Afar;
 
+/// Bytes/s of 1 Mbit/s.
+const BYTES_PER_MBIT: u64 = 125_000;
+
 /// The way by which other machines know a process, and reach it; by default they do not.
 #[derive(Clone, Debug, Default)]
 pub struct Machines {
@@ -20,6 +23,8 @@ pub struct Machines {
     /// Address at which components of other machines' processes connect to its own; port 0 takes a free one.
     /// `None`: a free port where a GCM of another machine is reached, or beside `listen`.
     pub lines: Option<String>,
+    /// Mbit/s that large samples take at most on the line to one other process; `None`: as many as it takes.
+    pub line_mbps: Option<u32>,
     /// File of the certificates that are believed no more; it is looked at again and again.
     pub revoked: Option<PathBuf>,
 }
@@ -95,7 +100,8 @@ impl Machines {
         // An address that stands for all of this machine says nothing to another one.
         let told = listen.ip().is_unspecified().then(|| of_gcm.and_then(towards).map_or_else(own_name, said));
         let (identity, revoked) = (identity.clone(), revoked.clone());
-        Ok(Some(Afar { listen, told, identity, revoked }))
+        let most_rate = self.line_mbps.map(|mbps| u64::from(mbps) * BYTES_PER_MBIT);
+        Ok(Some(Afar { listen, told, identity, revoked, most_rate }))
     }
 }
 

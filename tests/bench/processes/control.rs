@@ -3,10 +3,8 @@
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use tonic::transport::Channel;
 use trocar::model::ExecutionModel;
 use trocar_proto::v1;
-use trocar_proto::v1::gcm_service_client::GcmServiceClient;
 
 use super::bare;
 use super::site::{Site, periodic, process};
@@ -37,7 +35,7 @@ fn connect(table: &mut Table) {
     lab.create("near/sink", "sink", model(ExecutionModel::OnSignal));
     lab.start();
     let (mut answered, mut first, mut bare) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut client, runtime) = client(&lab.address());
+    let (mut client, runtime) = lab.client();
     let mut ask = |request: v1::ConnectRequest| {
         let began = Instant::now();
         runtime.block_on(client.connect(request.clone())).expect("Connect");
@@ -48,7 +46,7 @@ fn connect(table: &mut Table) {
         bare.push(began.elapsed().as_nanos() as f64);
         connected
     };
-    let mut gone = self::client(&lab.address());
+    let mut gone = lab.client();
     let mut disconnect = |request: v1::ConnectRequest| {
         let v1::ConnectRequest { client, server, .. } = request;
         let request = v1::DisconnectRequest { client, server, ..Default::default() };
@@ -75,14 +73,6 @@ fn connect(table: &mut Table) {
 
 fn request(client: &str, server: &str) -> v1::ConnectRequest {
     v1::ConnectRequest { client: client.into(), server: server.into(), ..Default::default() }
-}
-
-fn client(address: &str) -> (GcmServiceClient<Channel>, tokio::runtime::Runtime) {
-    let runtime =
-        tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime can be made");
-    let endpoint = Channel::from_shared(format!("http://{address}")).expect("an address of this machine");
-    let channel = runtime.block_on(endpoint.connect()).expect("the host answers");
-    (GcmServiceClient::new(channel), runtime)
 }
 
 /// kill -9 of a process, until a component it sent to is told.

@@ -14,6 +14,7 @@ mod site;
 mod streams;
 
 use crate::table::Table;
+pub(crate) use site::{periodic, ways};
 
 pub(crate) fn measure(subject: &str, table: &mut Table) {
     match subject {

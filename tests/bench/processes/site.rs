@@ -25,12 +25,12 @@ impl Site {
     }
 }
 
-pub(super) fn periodic(period_ns: u64) -> Execution {
+pub(crate) fn periodic(period_ns: u64) -> Execution {
     Execution { period_ns: Some(period_ns), ..crate::lab::model(ExecutionModel::Periodic) }
 }
 
 /// p50 and p99 of the ways of the samples a sink has taken since it was cleared, ns.
-pub(super) fn ways(lab: &Lab, sink: &str, least: usize) -> (f64, f64) {
+pub(crate) fn ways(lab: &Lab, sink: &str, least: usize) -> (f64, f64) {
     let figures = lab.invoke(&format!("{sink}/time/ways"), Value::Null);
     let count = as_number(&figures["count"]);
     assert!(count >= least as f64, "{sink} took {count} samples, {least} at least were sent to it");

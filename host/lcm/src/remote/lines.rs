@@ -10,7 +10,7 @@ use std::sync::{Arc, Weak};
 
 use parking_lot::Mutex;
 use trocar_links::Card;
-use trocar_net::line::{Ends, Handler, Line, Lines, Outbox, Place, Traffic, Who};
+use trocar_net::line::{Ends, Handler, Lane, Line, Lines, Outbox, Place, Traffic, Who};
 use trocar_net::{Identity, Revoked};
 
 use super::medium::{Medium, Message, Session};
@@ -36,6 +36,8 @@ pub struct Afar {
     pub told: Option<String>,
     pub identity: Arc<Identity>,
     pub revoked: Option<Arc<Revoked>>,
+    /// Bytes/s that large samples take at most on the line to one process.
+    pub most_rate: Option<u64>,
 }
 
 struct Net {
@@ -52,11 +54,11 @@ type Talks = Arc<Mutex<BTreeMap<u64, Arc<Talk>>>>;
 /// # Errors
 /// The address cannot be had, or the machine gives no more threads.
 pub(super) fn start(afar: Afar, mut card: Card, teller: Teller) -> io::Result<Arc<dyn Medium>> {
-    let Afar { listen, told, identity, revoked } = afar;
+    let Afar { listen, told, identity, revoked, most_rate } = afar;
     let talks = Talks::default();
     let who = Who { process: card.process.clone(), instance: card.instance.clone() };
     let handler = Meets { teller, talks: talks.clone() };
-    let lines = Lines::start(listen, Ends { who, identity, revoked }, handler)?;
+    let lines = Lines::start(listen, Ends { who, identity, revoked, most_rate }, handler)?;
     let host = told.unwrap_or_else(|| match listen.ip() {
         std::net::IpAddr::V6(ip) => format!("[{ip}]"),
         ip => ip.to_string(),
@@ -115,10 +117,13 @@ impl Drop for Held {
 }
 
 impl Traffic for Talk {
-    fn came(&self, kind: u8, content: &[u8]) -> Result<(), String> {
+    fn came(&self, lane: Lane, kind: u8, content: &[u8]) -> Result<(), String> {
         let kind = Kind::of(kind).ok_or_else(|| format!("a message of kind {kind}, which is none"))?;
         if kind != Kind::Words {
-            return self.stand_ins.came(kind, content);
+            return self.stand_ins.came(lane, kind, content);
+        }
+        if lane != Lane::Prompt {
+            return Err("words on the bulk lane".into());
         }
         let mine = content.len() + WORDS;
         let held = Held { all: self.waiting.clone(), mine };
@@ -133,8 +138,8 @@ impl Traffic for Talk {
         Ok(())
     }
 
-    fn fill(&self, out: &mut Outbox) -> bool {
-        self.stand_ins.fill(out)
+    fn fill(&self, lane: Lane, out: &mut Outbox) -> bool {
+        self.stand_ins.fill(lane, out)
     }
 }
 

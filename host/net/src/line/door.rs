@@ -16,7 +16,8 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustls::{Connection, ServerConnection};
 use trocar_rt::house;
 
-use super::greeting::{Refused, answer};
+use super::greeting::{Refused, answer, asked, turn_away};
+use super::guests::Second;
 use super::lines::{GREETING, Shared};
 use super::wire::Wire;
 
@@ -105,21 +106,29 @@ fn let_in(stream: TcpStream, from: SocketAddr, guests: &Arc<AtomicUsize>, shared
 }
 
 fn greet(stream: TcpStream, from: SocketAddr, seat: Seat, shared: &Shared) {
-    let until = Instant::now() + GREETING;
-    let met = || {
-        let tls = ServerConnection::new(shared.server.config()).map_err(|e| e.to_string())?;
-        let (mut wire, holder, inbox) = Wire::greeted(stream, Connection::Server(tls), until)?;
-        let met = answer((&mut wire, inbox), &holder, &shared.ends.who, until)?;
-        Ok::<_, Refused>((met, wire, holder))
-    };
-    match met() {
-        Ok((met, wire, holder)) => {
-            drop(seat);
-            let line = shared.line(met.who, holder, wire, met.clock);
-            if let Err(why) = shared.let_in(&line, met.inbox) {
-                shared.turned_away(from, &why);
-            }
-        }
-        Err(refused) => shared.turned_away(from, &refused.why),
+    if let Err(refused) = meet(stream, seat, shared) {
+        shared.turned_away(from, &refused.why);
     }
+}
+
+/// Greets a caller, and serves the line that it begins.
+fn meet(stream: TcpStream, seat: Seat, shared: &Shared) -> Result<(), Refused> {
+    let until = Instant::now() + GREETING;
+    let tls = ServerConnection::new(shared.server.config()).map_err(|e| e.to_string())?;
+    let (mut wire, holder, mut inbox) = Wire::greeted(stream, Connection::Server(tls), until)?;
+    let (who, line) = asked((&mut wire, &mut inbox), &holder, until)?;
+    let own = &shared.ends.who;
+    if line != 0 {
+        let second = Second { who, serial: holder.serial, wire, inbox };
+        return shared.guests.join(line, second, own);
+    }
+    let line = shared.number();
+    let awaited = shared.guests.await_second(line, &who, &holder).inspect_err(|no| turn_away(&wire, no))?;
+    let met = answer((&mut wire, inbox), (own, who), line, until)?;
+    let Some(second) = awaited.wait(until) else {
+        return Err(format!("{} began a line and did not go on", met.who.process).into());
+    };
+    drop(seat);
+    let line = shared.line(met.who, (line, holder), [wire, second.wire], met.clock);
+    shared.let_in(&line, [met.inbox, second.inbox])
 }

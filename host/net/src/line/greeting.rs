@@ -1,8 +1,9 @@
 //! The first words of both ends of a line, after both have shown their certificates.
 //!
 //! Each end says which process it is; a certificate that does not name that process ends it. Then the ends
-//! exchange a few beats, so that whatever is said later has a time. Invariant: nothing that was said is kept
-//! before it was checked.
+//! exchange a few beats, so that whatever is said later has a time. The second connection, for the bulk lane,
+//! names the line that it belongs to, by the number that the dialled end gave. Invariant: nothing that was
+//! said is kept before it was checked.
 
 use std::time::Instant;
 
@@ -15,7 +16,7 @@ use crate::holder::Holder;
 use crate::role::Role;
 
 /// Version of the messages and their order.
-pub(super) const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 2;
 /// Kind of the messages of a greeting.
 const GREETING: u8 = 255;
 /// Kind of a beat, also later.
@@ -35,8 +36,16 @@ pub struct Who {
 
 #[derive(Debug, Serialize, Deserialize)]
 enum Greeting {
-    Hello { version: u32, who: Who },
-    Refused { why: String, for_long: bool },
+    /// `line`: 0 where a line is begun, else its number at the end that is dialled.
+    Hello {
+        version: u32,
+        who: Who,
+        line: u64,
+    },
+    Refused {
+        why: String,
+        for_long: bool,
+    },
 }
 
 /// Why nothing came of a greeting.
@@ -63,61 +72,88 @@ impl From<String> for Refused {
 /// Result of a greeting.
 pub(super) struct Met {
     pub(super) who: Who,
+    /// Number of the line at the end that was dialled.
+    pub(super) line: u64,
     pub(super) clock: Clock,
     /// Whatever came behind the greeting.
     pub(super) inbox: Inbox,
 }
 
-/// Greets from the dialling end.
+/// Greets from the dialling end, where a line is begun.
 pub(super) fn call(
     (wire, mut inbox): (&mut Wire, Inbox),
     holder: &Holder,
     own: &Who,
     until: Instant,
 ) -> Result<Met, Refused> {
-    say(wire, &Greeting::Hello { version: VERSION, who: own.clone() })?;
-    let who = hear(wire, &mut inbox, holder, until)?;
+    hello(wire, own, 0)?;
+    let (who, line) = hear(wire, &mut inbox, holder, until)?;
     let clock = Clock::default();
     for _ in 0..BEATS {
         beat(wire, &clock)?;
         take_beat(wire, &mut inbox, &clock, until)?;
     }
     beat(wire, &clock)?;
-    known(who, clock, inbox)
+    known(Met { who, line, clock, inbox })
 }
 
-/// Greets from the end that was dialled.
-pub(super) fn answer(
+/// Greets from the dialling end on the second connection of a line.
+pub(super) fn call_beside(
     (wire, mut inbox): (&mut Wire, Inbox),
     holder: &Holder,
     own: &Who,
+    (met, until): (&Met, Instant),
+) -> Result<Inbox, Refused> {
+    hello(wire, own, met.line)?;
+    match hear(wire, &mut inbox, holder, until)? {
+        (who, line) if who == met.who && line == met.line => Ok(inbox),
+        (who, _) => Err(format!("{} answers in its place, or for another line", who.process).into()),
+    }
+}
+
+/// Greets from the end that was dialled, where a line is begun: it has the number `line` here.
+pub(super) fn answer(
+    (wire, mut inbox): (&mut Wire, Inbox),
+    (own, who): (&Who, Who),
+    line: u64,
     until: Instant,
 ) -> Result<Met, Refused> {
-    let who = match hear(wire, &mut inbox, holder, until) {
-        Ok(who) => who,
-        Err(refused) => {
-            // The caller may be gone.
-            let _ = say(wire, &Greeting::Refused { why: refused.why.clone(), for_long: refused.for_long });
-            return Err(refused);
-        }
-    };
-    say(wire, &Greeting::Hello { version: VERSION, who: own.clone() })?;
+    hello(wire, own, line)?;
     let clock = Clock::default();
     for _ in 0..BEATS {
         take_beat(wire, &mut inbox, &clock, until)?;
         beat(wire, &clock)?;
     }
     take_beat(wire, &mut inbox, &clock, until)?;
-    known(who, clock, inbox)
+    known(Met { who, line, clock, inbox })
 }
 
-fn known(who: Who, clock: Clock, inbox: Inbox) -> Result<Met, Refused> {
-    match clock.is_known() {
-        true => Ok(Met { who, clock, inbox }),
+/// Hears who dials, and to which line this connection belongs; 0: it begins one.
+pub(super) fn asked(
+    (wire, inbox): (&mut Wire, &mut Inbox),
+    holder: &Holder,
+    until: Instant,
+) -> Result<(Who, u64), Refused> {
+    hear(wire, inbox, holder, until).inspect_err(|refused| turn_away(wire, refused))
+}
+
+/// Tells a caller why it is refused. It may be gone.
+pub(super) fn turn_away(wire: &Wire, Refused { why, for_long }: &Refused) {
+    let _ = say(wire, &Greeting::Refused { why: why.clone(), for_long: *for_long });
+}
+
+fn known(met: Met) -> Result<Met, Refused> {
+    match met.clock.is_known() {
+        true => Ok(met),
         false => {
             Err(Refused { why: "its clock cannot be made out: its beats are none".into(), for_long: true })
         }
     }
+}
+
+/// Says who this process is.
+pub(super) fn hello(wire: &Wire, own: &Who, line: u64) -> Result<(), Refused> {
+    say(wire, &Greeting::Hello { version: VERSION, who: own.clone(), line })
 }
 
 fn say(wire: &Wire, words: &Greeting) -> Result<(), Refused> {
@@ -127,7 +163,7 @@ fn say(wire: &Wire, words: &Greeting) -> Result<(), Refused> {
     wire.send(out.bytes()).map_err(|e| e.to_string().into())
 }
 
-fn hear(wire: &mut Wire, inbox: &mut Inbox, holder: &Holder, until: Instant) -> Result<Who, Refused> {
+fn hear(wire: &mut Wire, inbox: &mut Inbox, holder: &Holder, until: Instant) -> Result<(Who, u64), Refused> {
     let no = |why: String| Refused { why, for_long: true };
     let (kind, content) = wire.hear(inbox, until)?;
     let words = if kind == GREETING { serde_json::from_slice(&content).ok() } else { None };
@@ -145,7 +181,7 @@ fn hear(wire: &mut Wire, inbox: &mut Inbox, holder: &Holder, until: Instant) -> 
             "it says that it is process {}, and its certificate, of the {holder}, does not name that process",
             who.process
         ))),
-        Greeting::Hello { who, .. } => Ok(who),
+        Greeting::Hello { who, line, .. } => Ok((who, line)),
     }
 }
 

@@ -19,9 +19,10 @@ use trocar_rt::os::now_ns;
 use trocar_rt::wake::Waker;
 
 use super::door::Door;
-use super::greeting::{Met, Refused, Who, call};
+use super::greeting::{Refused, Who, call, call_beside};
+use super::guests::Guests;
 use super::wire::{Inbox, Wire};
-use super::{Clock, Handler, Line, run};
+use super::{Clock, Handler, Line, Track, run};
 use crate::holder::Holder;
 use crate::identity::Identity;
 use crate::revoked::Revoked;
@@ -35,8 +36,6 @@ const REDIAL_NS: u64 = 20_000_000;
 const REFUSED_NS: u64 = 1_000_000_000;
 /// Time between two lines of the log about callers that were turned away.
 const TELL: Duration = Duration::from_secs(10);
-/// Processes that may have begun a line to this one.
-const MOST_GUESTS: usize = 256;
 /// The protocol of lines (ALPN).
 const PROTOCOL: &str = "trocar-line";
 
@@ -56,6 +55,8 @@ pub struct Ends {
     pub who: Who,
     pub identity: Arc<Identity>,
     pub revoked: Option<Arc<Revoked>>,
+    /// Bytes/s that a line sends at most of what is long.
+    pub most_rate: Option<u64>,
 }
 
 /// All lines of this process.
@@ -75,7 +76,7 @@ pub(super) struct Shared {
     /// Lines that live, to be ended at the end.
     lines: Mutex<Vec<Arc<Line>>>,
     /// Those of them that other processes have begun.
-    guests: Mutex<Vec<Arc<Line>>>,
+    pub(super) guests: Guests,
     threads: Mutex<Vec<JoinHandle<()>>>,
     /// When the log was told last of somebody who was turned away, and how many were since.
     away: Mutex<(Option<Instant>, u64)>,
@@ -110,7 +111,7 @@ impl Lines {
             numbers: AtomicU64::new(1),
             over: AtomicBool::new(false),
             lines: Mutex::default(),
-            guests: Mutex::default(),
+            guests: Guests::default(),
             threads: Mutex::default(),
             away: Mutex::default(),
         });
@@ -232,10 +233,9 @@ impl Shared {
     fn dial(&self, place: &Place, mine: &Arc<Waker>) {
         while self.is_wanted(place, mine) {
             let pause_ns = match self.call(place) {
-                Ok((met, wire, holder)) => {
-                    let line = self.line(met.who, holder, wire, met.clock);
+                Ok((line, inboxes)) => {
                     if self.note(place, mine, |want| (want.line, want.failed) = (Some(line.clone()), None)) {
-                        self.serve(&line, met.inbox);
+                        self.serve(&line, inboxes);
                         let why = format!("the line with it was lost: {}", line.why());
                         let failed = Some(Refused { why, for_long: false });
                         self.note(place, mine, |want| (want.line, want.failed) = (None, failed));
@@ -267,15 +267,10 @@ impl Shared {
         is_wanted
     }
 
-    fn call(&self, place: &Place) -> Result<(Met, Wire, Holder), Refused> {
+    /// Begins a line with both its connections.
+    fn call(&self, place: &Place) -> Result<(Arc<Line>, [Inbox; 2]), Refused> {
         let until = Instant::now() + GREETING;
-        let stream = connect(&place.address, until)
-            .map_err(|why| format!("{} at {}: {why}", place.process, place.address))?;
-        // The name is not looked at: a process is known by its certificate.
-        let name = ServerName::IpAddress(std::net::IpAddr::from([127, 0, 0, 1]).into());
-        let tls = ClientConnection::new(self.client.config(), name).map_err(|e| e.to_string())?;
-        let (mut wire, holder, inbox) = Wire::greeted(stream, Connection::Client(tls), until)
-            .map_err(|refused| refused.by(&format!("{} at {}", place.process, place.address)))?;
+        let (mut wire, holder, inbox) = self.connect(place, until)?;
         let met = call((&mut wire, inbox), &holder, &self.ends.who, until)?;
         let (wanted, found) = ((&place.process, &place.instance), (&met.who.process, &met.who.instance));
         if wanted != found {
@@ -285,49 +280,63 @@ impl Shared {
             );
             return Err(Refused { why, for_long: true });
         }
-        Ok((met, wire, holder))
+        let (mut beside, its, inbox) = self.connect(place, until)?;
+        let second = call_beside((&mut beside, inbox), &its, &self.ends.who, (&met, until))?;
+        let line = self.line(met.who, (self.number(), holder), [wire, beside], met.clock);
+        Ok((line, [met.inbox, second]))
     }
 
-    pub(super) fn line(&self, who: Who, holder: Holder, wire: Wire, clock: Clock) -> Arc<Line> {
+    fn connect(&self, place: &Place, until: Instant) -> Result<(Wire, Holder, Inbox), Refused> {
+        let at = format!("{} at {}", place.process, place.address);
+        let stream = connect(&place.address, until).map_err(|why| format!("{at}: {why}"))?;
+        // The name is not looked at: a process is known by its certificate.
+        let name = ServerName::IpAddress(std::net::IpAddr::from([127, 0, 0, 1]).into());
+        let tls = ClientConnection::new(self.client.config(), name).map_err(|e| e.to_string())?;
+        Wire::greeted(stream, Connection::Client(tls), until).map_err(|refused| refused.by(&at))
+    }
+
+    /// A number that no other line of this process has.
+    pub(super) fn number(&self) -> u64 {
+        self.numbers.fetch_add(1, Ordering::Relaxed)
+    }
+
+    pub(super) fn line(
+        &self,
+        who: Who,
+        (number, holder): (u64, Holder),
+        [prompt, bulk]: [Wire; 2],
+        clock: Clock,
+    ) -> Arc<Line> {
         Arc::new(Line {
-            number: self.numbers.fetch_add(1, Ordering::Relaxed),
+            number,
             who,
             holder,
-            wire,
             clock,
             said: Mutex::default(),
-            bell: Arc::new(Waker::new()),
+            prompt: Track::new(prompt),
+            bulk: Track::new(bulk),
+            most_rate: self.ends.most_rate,
             lost: AtomicBool::new(false),
             why: Mutex::default(),
         })
     }
 
-    /// Lets in a line that the other end has begun: a process has one, its newest.
-    pub(super) fn let_in(&self, line: &Arc<Line>, inbox: Inbox) -> Result<(), String> {
-        let mut guests = self.guests.lock();
-        let before = guests.iter().filter(|other| other.who.process == line.who.process);
-        before.for_each(|other| other.end("that process has called anew"));
-        guests.retain(|other| !other.is_lost());
-        if guests.len() >= MOST_GUESTS {
-            return Err(format!(
-                "{MOST_GUESTS} processes have lines to this one, which is as many as it takes"
-            ));
-        }
-        guests.push(line.clone());
-        drop(guests);
-        self.serve(line, inbox);
-        self.guests.lock().retain(|other| !Arc::ptr_eq(other, line));
+    /// Lets in a line that the other end has begun, and serves it until it is lost.
+    pub(super) fn let_in(&self, line: &Arc<Line>, inboxes: [Inbox; 2]) -> Result<(), Refused> {
+        self.guests.add(line)?;
+        self.serve(line, inboxes);
+        self.guests.remove(line);
         Ok(())
     }
 
     /// Serves a line on this thread until it is lost.
-    fn serve(&self, line: &Arc<Line>, inbox: Inbox) {
+    fn serve(&self, line: &Arc<Line>, inboxes: [Inbox; 2]) {
         self.lines.lock().push(line.clone());
         if self.over.load(Ordering::Acquire) {
             line.end("ended from here");
         }
         let traffic = self.handler.met(line);
-        run::run(line, &traffic, inbox, self.ends.revoked.clone());
+        run::run(line, &traffic, inboxes, self.ends.revoked.clone());
         self.lines.lock().retain(|other| !Arc::ptr_eq(other, line));
         self.handler.lost(line, &line.why());
     }

@@ -1,13 +1,16 @@
 //! Lines: encrypted connections between two processes of different machines, on which messages pass both
 //! ways.
 //!
-//! A line has two threads of its own at each end: one receives (`trocar-line`), one sends
-//! (`trocar-line-out`), woken through the line's bell. What passes is the business of the line's user.
-//! Invariant: a line that was given up stays given up; the next one with the same process is another.
+//! A line has two lanes, each a connection of its own: one for what is short and awaited, one for what is
+//! long ([`Lane`]). Each lane has two threads at each end: one receives (`trocar-line`, `trocar-bulk`), one
+//! sends (`trocar-line-out`, `trocar-bulk-out`), woken through the lane's bell. What passes is the business
+//! of the line's user. Invariant: a line lives as long as both its lanes; one that was given up stays given
+//! up, and the next one with the same process is another.
 
 mod clock;
 mod door;
 mod greeting;
+mod guests;
 mod lines;
 mod run;
 #[cfg(test)]
@@ -37,12 +40,35 @@ pub struct Line {
     number: u64,
     who: Who,
     holder: Holder,
-    wire: Wire,
     clock: Clock,
     said: Mutex<Said>,
-    bell: Arc<Waker>,
+    prompt: Track,
+    bulk: Track,
+    /// Bytes/s of the bulk lane.
+    most_rate: Option<u64>,
     lost: AtomicBool,
     why: Mutex<Option<String>>,
+}
+
+/// One of the two ways of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lane {
+    /// What is short and awaited: words, commands, answers, events, small samples.
+    Prompt,
+    /// Large samples. They hold up each other, and nothing else.
+    Bulk,
+}
+
+/// A lane, as it is made.
+struct Track {
+    wire: Wire,
+    bell: Arc<Waker>,
+}
+
+impl Track {
+    fn new(wire: Wire) -> Track {
+        Track { wire, bell: Arc::new(Waker::new()) }
+    }
 }
 
 #[derive(Default)]
@@ -84,9 +110,16 @@ impl Line {
         &self.clock
     }
 
-    /// Wakes the thread that sends: there is something to send.
-    pub fn bell(&self) -> &Arc<Waker> {
-        &self.bell
+    /// Wakes the thread that sends on this lane: there is something to send.
+    pub fn bell(&self, lane: Lane) -> &Arc<Waker> {
+        &self.track(lane).bell
+    }
+
+    fn track(&self, lane: Lane) -> &Track {
+        match lane {
+            Lane::Prompt => &self.prompt,
+            Lane::Bulk => &self.bulk,
+        }
     }
 
     /// Tells whether it was given up, for good.
@@ -94,7 +127,7 @@ impl Line {
         self.lost.load(Ordering::Acquire)
     }
 
-    /// Says something, before whatever [`Traffic::fill`] adds later. Never waits.
+    /// Says something on the prompt lane, before whatever [`Traffic::fill`] adds later. Never waits.
     ///
     /// # Errors
     /// Too much waits already, or the line is gone.
@@ -110,7 +143,7 @@ impl Line {
         said.bytes += content.len();
         said.all.push_back((kind, content));
         drop(said);
-        self.bell.notify();
+        self.prompt.bell.notify();
         Ok(())
     }
 
@@ -118,8 +151,10 @@ impl Line {
     pub fn end(&self, why: &str) {
         self.why.lock().get_or_insert_with(|| why.to_owned());
         self.lost.store(true, Ordering::Release);
-        self.wire.end();
-        self.bell.notify();
+        for track in [&self.prompt, &self.bulk] {
+            track.wire.end();
+            track.bell.notify();
+        }
     }
 
     fn why(&self) -> String {
@@ -143,13 +178,14 @@ pub trait Handler: Send + Sync + 'static {
 
 /// The messages of one line.
 pub trait Traffic: Send + Sync {
-    /// Takes in a message. The thread that receives: whatever waits here keeps the next messages waiting.
+    /// Takes in a message. The thread that receives on this lane: whatever waits here keeps the lane's next
+    /// messages waiting.
     ///
     /// # Errors
     /// It is none that the other end may send: the line ends.
-    fn came(&self, kind: u8, content: &[u8]) -> Result<(), String>;
+    fn came(&self, lane: Lane, kind: u8, content: &[u8]) -> Result<(), String>;
 
-    /// Appends what is to be sent now; the thread that sends, after each ring of the line's bell and at each
-    /// beat. Returns true when there is more than was appended.
-    fn fill(&self, out: &mut Outbox) -> bool;
+    /// Appends what is to be sent now on this lane; the thread that sends there, after each ring of the
+    /// lane's bell and at each beat. Returns true when there is more than was appended.
+    fn fill(&self, lane: Lane, out: &mut Outbox) -> bool;
 }

@@ -1,24 +1,21 @@
-//! The two threads of a line while it lives.
+//! The threads of a line while it lives: one that receives and one that sends for each lane.
 //!
-//! Invariant: a line ends when nothing was heard for [`SILENT_NS`] in which this process itself ran: a thread
-//! that got no processor judges nobody.
+//! Invariant: a line ends when nothing was heard on a lane for as long as the lane allows, and this process
+//! itself ran in that time: a thread that got no processor judges nobody.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use trocar_rt::house;
 use trocar_rt::os::now_ns;
 
 use super::greeting::{BEAT, beat_in, put_beat};
-use super::wire::{Came, Inbox, MOST_BYTES, Outbox, is_nothing};
-use super::{Line, Traffic};
+use super::wire::{Came, Inbox, MOST_BYTES, Outbox, Rank, is_nothing};
+use super::{Lane, Line, Traffic};
 use crate::revoked::Revoked;
 
-/// Distance of two beats, ns.
-const BEAT_NS: u64 = 10_000_000;
-/// Silence after which a line is lost, ns.
-pub(super) const SILENT_NS: u64 = 100_000_000;
 /// Time between two looks at the list of revoked certificates, ns.
 const JUDGED_NS: u64 = 50_000_000;
 /// Time in which the other end takes no byte, after which a line is lost.
@@ -26,34 +23,82 @@ const STALLED: Duration = Duration::from_secs(1);
 /// Bytes of one read.
 const ROOM: usize = 128 << 10;
 
-/// Runs a line on this thread until it is lost; another one sends.
-pub(super) fn run(line: &Arc<Line>, traffic: &Arc<dyn Traffic>, inbox: Inbox, revoked: Option<Arc<Revoked>>) {
-    let sends = (line.clone(), traffic.clone());
-    let thread = std::thread::Builder::new().name("trocar-line-out".into());
-    match house::spawn(thread, move || send(&sends.0, &*sends.1)) {
-        Err(e) => line.end(&format!("this process gets no thread for it: {e}")),
-        Ok(thread) => {
-            let why = receive(line, &**traffic, inbox, revoked.as_deref());
-            line.end(&why);
-            if thread.join().is_err() {
-                log::error!("the thread that sends to {} panicked", line.who.process);
-            }
+impl Lane {
+    /// Distance of two beats, ns.
+    fn beat_ns(self) -> u64 {
+        match self {
+            Lane::Prompt => 10_000_000,
+            Lane::Bulk => 100_000_000,
+        }
+    }
+
+    /// Silence after which the line is lost, ns. Acknowledgements of long samples wait in the same queues as
+    /// they do, and a bulk lane that is cut alone is seen by whoever sends, too.
+    fn silent_ns(self) -> u64 {
+        match self {
+            Lane::Prompt => 100_000_000,
+            Lane::Bulk => 1_000_000_000,
+        }
+    }
+
+    /// Rank by RFC 4594: the prompt lane as telephony (expedited forwarding), the bulk lane as anything.
+    fn rank(self, most_rate: Option<u64>) -> Rank {
+        match self {
+            Lane::Prompt => Rank { priority: 6, class: 46 << 2, most_unsent: 128 << 10, most_rate: None },
+            Lane::Bulk => Rank { priority: 2, class: 0, most_unsent: 256 << 10, most_rate },
+        }
+    }
+
+    fn threads(self) -> [&'static str; 2] {
+        match self {
+            Lane::Prompt => ["trocar-line", "trocar-line-out"],
+            Lane::Bulk => ["trocar-bulk", "trocar-bulk-out"],
         }
     }
 }
 
-/// Receives until the line is over; returns why.
-fn receive(line: &Line, traffic: &dyn Traffic, mut inbox: Inbox, revoked: Option<&Revoked>) -> String {
+/// Runs a line on this thread until it is lost; others send, and serve the bulk lane.
+pub(super) fn run(
+    line: &Arc<Line>,
+    traffic: &Arc<dyn Traffic>,
+    [prompt, bulk]: [Inbox; 2],
+    revoked: Option<Arc<Revoked>>,
+) {
+    let (mine, its) = (line.clone(), traffic.clone());
+    let beside = line.spawn(Lane::Bulk.threads()[0], move || serve(&mine, &its, Lane::Bulk, bulk, None));
+    serve(line, traffic, Lane::Prompt, prompt, revoked.as_deref());
+    line.join(beside);
+}
+
+/// Serves one lane until the line is lost.
+fn serve(line: &Arc<Line>, traffic: &Arc<dyn Traffic>, lane: Lane, inbox: Inbox, revoked: Option<&Revoked>) {
+    let (mine, its) = (line.clone(), traffic.clone());
+    let sends = line.spawn(lane.threads()[1], move || send(&mine, &*its, lane));
+    let why = receive(line, &**traffic, lane, inbox, revoked);
+    line.end(&why);
+    line.join(sends);
+}
+
+/// Receives on a lane until the line is over; returns why.
+fn receive(
+    line: &Line,
+    traffic: &dyn Traffic,
+    lane: Lane,
+    mut inbox: Inbox,
+    revoked: Option<&Revoked>,
+) -> String {
+    let (wire, beat_ns) = (&line.track(lane).wire, lane.beat_ns());
     let mut room = vec![0; ROOM];
-    if let Err(e) = line.wire.wait_for(Duration::from_nanos(BEAT_NS), STALLED) {
+    wire.rank(lane.rank(line.most_rate));
+    if let Err(e) = wire.wait_for(Duration::from_nanos(beat_ns), STALLED) {
         return e.to_string();
     }
     let (mut heard_ns, mut looked_ns, mut judged_ns) = (now_ns(), now_ns(), now_ns());
     loop {
-        if let Err(why) = handle(line, traffic, &mut inbox) {
+        if let Err(why) = handle(line, traffic, lane, &mut inbox) {
             return format!("it said what it may not: {why}");
         }
-        let came = line.wire.receive(&mut room, &mut inbox);
+        let came = wire.receive(&mut room, &mut inbox);
         if line.is_lost() {
             return "ended from here".into();
         }
@@ -65,14 +110,14 @@ fn receive(line: &Line, traffic: &dyn Traffic, mut inbox: Inbox, revoked: Option
             }
         }
         // Time this thread did not run does not count as silence.
-        heard_ns += (now - looked_ns).saturating_sub(2 * BEAT_NS);
+        heard_ns += (now - looked_ns).saturating_sub(2 * beat_ns);
         looked_ns = now;
         match came {
             Ok(Came::Bytes) => heard_ns = now,
             Ok(Came::End) => return "it ended or closed the connection".into(),
             Ok(Came::Nothing) => {
                 let silent_ns = now.saturating_sub(heard_ns);
-                if silent_ns > SILENT_NS {
+                if silent_ns > lane.silent_ns() {
                     return format!("nothing was heard of it for {} ms", silent_ns / 1_000_000);
                 }
             }
@@ -82,11 +127,17 @@ fn receive(line: &Line, traffic: &dyn Traffic, mut inbox: Inbox, revoked: Option
 }
 
 /// Handles the messages that are complete.
-fn handle(line: &Line, traffic: &dyn Traffic, inbox: &mut Inbox) -> Result<(), String> {
+fn handle(line: &Line, traffic: &dyn Traffic, lane: Lane, inbox: &mut Inbox) -> Result<(), String> {
     while let Some((kind, content)) = inbox.next(MOST_BYTES)? {
         match kind {
-            BEAT => line.clock.heard(beat_in(content)?, now_ns()),
-            kind => traffic.came(kind, content)?,
+            // The prompt lane alone tells of the clock.
+            BEAT => {
+                let beat = beat_in(content)?;
+                if lane == Lane::Prompt {
+                    line.clock.heard(beat, now_ns());
+                }
+            }
+            kind => traffic.came(lane, kind, content)?,
         }
     }
     Ok(())
@@ -97,26 +148,29 @@ fn is_revoked(list: &Revoked, line: &Line) -> bool {
     list.has(&line.holder.serial)
 }
 
-fn send(line: &Line, traffic: &dyn Traffic) {
+fn send(line: &Line, traffic: &dyn Traffic, lane: Lane) {
+    let track = line.track(lane);
     let mut out = Outbox::default();
     let mut next_ns = now_ns();
     let mut more = false;
     while !line.lost.load(Ordering::Acquire) {
         let now = now_ns();
         if now >= next_ns {
-            next_ns = now + BEAT_NS;
+            next_ns = now + lane.beat_ns();
             put_beat(&mut out, line.clock.beat(now));
         } else if !more {
-            line.bell.wait(Some(next_ns));
+            track.bell.wait(Some(next_ns));
         }
-        for (kind, content) in line.take_said() {
-            out.message(kind, |bytes| bytes.extend_from_slice(&content));
+        if lane == Lane::Prompt {
+            for (kind, content) in line.take_said() {
+                out.message(kind, |bytes| bytes.extend_from_slice(&content));
+            }
         }
-        more = traffic.fill(&mut out);
+        more = traffic.fill(lane, &mut out);
         if out.is_empty() {
             continue;
         }
-        if let Err(e) = line.wire.send(out.bytes()) {
+        if let Err(e) = track.wire.send(out.bytes()) {
             let why = match is_nothing(&e) {
                 true => "it takes nothing any more".to_owned(),
                 false => format!("it ended or closed the connection ({e})"),
@@ -128,6 +182,18 @@ fn send(line: &Line, traffic: &dyn Traffic) {
 }
 
 impl Line {
+    /// Starts a thread of this line; without one the line ends.
+    fn spawn(self: &Arc<Line>, name: &str, run: impl FnOnce() + Send + 'static) -> Option<JoinHandle<()>> {
+        let thread = house::spawn(std::thread::Builder::new().name(name.into()), run);
+        thread.inspect_err(|e| self.end(&format!("this process gets no thread for it: {e}"))).ok()
+    }
+
+    fn join(&self, thread: Option<JoinHandle<()>>) {
+        if thread.is_some_and(|thread| thread.join().is_err()) {
+            log::error!("a thread of the line with {} panicked", self.who.process);
+        }
+    }
+
     fn take_said(&self) -> impl Iterator<Item = (u8, Vec<u8>)> + use<> {
         let mut said = self.said.lock();
         said.bytes = 0;

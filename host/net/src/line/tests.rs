@@ -7,11 +7,16 @@ use std::time::Duration;
 
 use tempfile::TempDir;
 
+use super::greeting::Met;
+use super::wire::Inbox;
 use super::*;
 use crate::{Authority, Identity, Revoked, Role, Wish};
 
 /// For what comes in any case: a watchdog, not a claim.
 const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Messages that wait for the bulk lane.
+type Long = Arc<Mutex<Vec<(u8, Vec<u8>)>>>;
 
 /// News that a process hears of its lines.
 enum News {
@@ -24,6 +29,8 @@ struct Ear {
     tell: Mutex<Sender<News>>,
     /// Whoever listens stands still at a message of kind 14 until this is let go.
     gate: Arc<Mutex<()>>,
+    /// Messages for the bulk lane.
+    long: Long,
 }
 
 impl Ear {
@@ -45,7 +52,7 @@ impl Handler for Arc<Ear> {
 }
 
 impl Traffic for Ear {
-    fn came(&self, kind: u8, content: &[u8]) -> Result<(), String> {
+    fn came(&self, _: Lane, kind: u8, content: &[u8]) -> Result<(), String> {
         if kind == 13 {
             return Err("thirteen".into());
         }
@@ -56,7 +63,11 @@ impl Traffic for Ear {
         Ok(())
     }
 
-    fn fill(&self, _: &mut Outbox) -> bool {
+    fn fill(&self, lane: Lane, out: &mut Outbox) -> bool {
+        if lane == Lane::Bulk {
+            let long = std::mem::take(&mut *self.long.lock());
+            long.iter().for_each(|(kind, bytes)| out.message(*kind, |to| to.extend_from_slice(bytes)));
+        }
         false
     }
 }
@@ -71,6 +82,7 @@ struct Process {
     news: Receiver<News>,
     place: Place,
     gate: Arc<Mutex<()>>,
+    long: Long,
 }
 
 impl Process {
@@ -137,13 +149,14 @@ impl Lab {
 fn start(name: &str, identity: Arc<Identity>, revoked: Arc<Revoked>) -> Process {
     let (tell, news) = channel();
     let who = Who { process: name.into(), instance: format!("{name}-1") };
-    let ends = Ends { who: who.clone(), identity, revoked: Some(revoked) };
+    let ends = Ends { who: who.clone(), identity, revoked: Some(revoked), most_rate: None };
     let gate = Arc::new(Mutex::new(()));
-    let ear = Ear { tell: Mutex::new(tell), gate: gate.clone() };
+    let long = Arc::default();
+    let ear = Ear { tell: Mutex::new(tell), gate: gate.clone(), long: Arc::clone(&long) };
     let lines = Lines::start(([127, 0, 0, 1], 0).into(), ends, Arc::new(ear)).unwrap();
     let address = format!("127.0.0.1:{}", lines.port());
     let place = Place { process: who.process, instance: who.instance, address };
-    Process { lines, news, place, gate }
+    Process { lines, news, place, gate, long }
 }
 
 #[test]
@@ -169,6 +182,49 @@ fn two_processes_meet_and_what_one_says_the_other_hears_in_order() {
     left.lines.leave(&right.place);
     assert!(left.loses().contains("from here") && right.loses().contains("it ended"));
     assert!(of_left.is_lost() && of_left.say(1, Vec::new()) == Err(Unsaid::Lost));
+}
+
+#[test]
+fn what_is_long_holds_up_nothing_that_is_short() {
+    let mut lab = Lab::new();
+    let (left, right) = (lab.process("left"), lab.process("right"));
+    left.lines.want(&right.place);
+    let line = left.meets();
+    right.meets();
+    let shut = right.gate.lock();
+    left.long.lock().extend([(14, vec![0; 8 << 20]), (15, Vec::new())]);
+    line.bell(Lane::Bulk).notify();
+    line.say(1, Vec::new()).unwrap();
+    assert!(matches!(right.hear(), News::Came(1, _)), "it comes while the long one waits");
+    drop(shut);
+    let heard = || match right.hear() {
+        News::Came(kind, content) => (kind, content.len()),
+        _ => panic!("no message"),
+    };
+    assert_eq!([heard(), heard()], [(14, 8 << 20), (15, 0)]);
+}
+
+#[test]
+fn a_second_connection_that_belongs_to_no_line_of_its_process_is_refused() {
+    let mut lab = Lab::new();
+    let (left, right) = (lab.process("left"), lab.process("right"));
+    left.lines.want(&right.place);
+    left.meets();
+    // The line that there is, and it has both; and one that there is not.
+    let (identity, number) = (lab.identity("third"), right.meets().number());
+    for line in [number, 77] {
+        let client = crate::Client::of_processes(identity.clone(), None, &["trocar-line"]).unwrap();
+        let name = rustls::pki_types::ServerName::try_from("trocar").unwrap();
+        let tls = rustls::ClientConnection::new(client.config(), name).unwrap();
+        let until = std::time::Instant::now() + PATIENCE;
+        let stream = TcpStream::connect(&right.place.address).unwrap();
+        let (mut wire, holder, inbox) = Wire::greeted(stream, tls.into(), until).unwrap();
+        let own = Who { process: "third".into(), instance: "third-1".into() };
+        let met = Met { who: own.clone(), line, clock: Clock::default(), inbox: Inbox::default() };
+        let refused = greeting::call_beside((&mut wire, inbox), &holder, &own, (&met, until));
+        let why = refused.err().map(|refused| refused.why).unwrap_or_default();
+        assert!(why.contains("no line here that waits"), "{line}: {why}");
+    }
 }
 
 #[test]

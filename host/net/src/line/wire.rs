@@ -6,10 +6,13 @@
 
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream};
+use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
+use rustix::net::sockopt;
 use rustls::Connection;
+use trocar_rt::os::{set_most_rate, set_most_unsent, set_priority};
 
 use super::greeting::Refused;
 use crate::holder::Holder;
@@ -106,6 +109,19 @@ impl Inbox {
     }
 }
 
+/// The rank of a connection's packets beside others.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rank {
+    /// In the queues of this machine.
+    pub(super) priority: u8,
+    /// In those of switches: the byte of the IP header.
+    pub(super) class: u8,
+    /// Bytes that may wait in the kernel.
+    pub(super) most_unsent: u32,
+    /// Bytes/s.
+    pub(super) most_rate: Option<u64>,
+}
+
 pub(super) struct Wire {
     stream: TcpStream,
     tls: Mutex<Connection>,
@@ -176,6 +192,24 @@ impl Wire {
             }
             let n = self.read(&mut room, until)?;
             self.take_in(&room[..n], inbox)?;
+        }
+    }
+
+    /// Sets the rank of its packets in this machine's queues and in those of switches, and how many bytes
+    /// lie in the kernel where a newer sample can no longer take their place. A network that takes none of
+    /// it is a slower one.
+    pub(super) fn rank(&self, Rank { priority, class, most_unsent, most_rate }: Rank) {
+        let socket = self.stream.as_fd();
+        let is_v6 = self.stream.peer_addr().is_ok_and(|addr| addr.is_ipv6());
+        let _ = match is_v6 {
+            true => sockopt::set_ipv6_tclass(socket, class.into()),
+            false => sockopt::set_ip_tos(socket, class),
+        };
+        // The class has set another one.
+        let _ = set_priority(socket, priority);
+        let _ = set_most_unsent(socket, most_unsent);
+        if let Some(rate) = most_rate {
+            let _ = set_most_rate(socket, rate);
         }
     }
 

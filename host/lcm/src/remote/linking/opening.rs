@@ -114,7 +114,7 @@ impl Linking {
         let files = std::iter::once(memory).chain(rows_file).chain(files).collect();
         let state = stand_in.as_ref().map(|stand_in| stand_in.state()).unwrap_or_default();
         if let Some((all, stand_in)) = stand_ins.zip(stand_in) {
-            all.add(Link { connection, epoch }, stand_in);
+            all.add(Link { connection, epoch }, &terms.way, stand_in);
         }
         Ok(Offered { words: Words::Opened { connection, epoch, rows, pools }, state, files })
     }
@@ -221,6 +221,6 @@ fn link_apart(
     let wires = Wires::Client(wires.map_err(|e| e.to_string())?);
     let link = Link { connection, epoch };
     half.link(session, epoch, wires, Some(stand_in.clone()));
-    stand_ins.add(link, stand_in);
+    stand_ins.add(link, &terms.way, stand_in);
     stand_ins.ready(link)
 }

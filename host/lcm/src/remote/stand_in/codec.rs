@@ -40,6 +40,11 @@ impl Kind {
         let all = [Words, Ready, Sample, Frame, Command, Took, Answer, Event, Result, Why, Standing, Left];
         all.into_iter().find(|kind| *kind as u8 == number)
     }
+
+    /// Tells whether it is a sample of a stream.
+    pub(super) fn is_sample(self) -> bool {
+        matches!(self, Kind::Sample | Kind::Frame)
+    }
 }
 
 /// A link: its connection, and which of that connection's links it is.

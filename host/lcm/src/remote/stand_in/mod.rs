@@ -20,9 +20,9 @@ use std::sync::Arc;
 use parking_lot::Mutex;
 use trocar_lcm_api::LinkDetail;
 use trocar_model::Ports;
-use trocar_net::line::{Clock, Line, Outbox};
-use trocar_rt::segment::Agreed;
-use trocar_rt::stream::RemoteViews;
+use trocar_net::line::{Clock, Lane, Line, Outbox};
+use trocar_rt::segment::{Agreed, StreamShape};
+use trocar_rt::stream::{Payload, RemoteViews};
 
 use super::super::instance::Instance;
 use super::super::passage::lane;
@@ -32,6 +32,9 @@ pub(super) use codec::{Kind, Link, Take};
 
 /// Most stand-ins of one line whose connections were cut while calls were under way.
 const MOST_LEAVING: usize = 64;
+
+/// Samples longer than this many bytes go over the bulk lane, as all frames do.
+const LONG: usize = 16 << 10;
 
 /// Somebody who stands in for the other end of one connection.
 pub(super) trait StandIn: Send + Sync {
@@ -69,7 +72,20 @@ pub(super) trait StandIn: Send + Sync {
 /// All stand-ins of one line.
 pub(super) struct StandIns {
     line: Arc<Line>,
-    all: Mutex<Vec<Entry>>,
+    /// Those of each lane.
+    prompt: Mutex<Vec<Entry>>,
+    bulk: Mutex<Vec<Entry>>,
+}
+
+/// The lane of what passes in this way.
+fn lane_of(way: &Way) -> Lane {
+    match way {
+        Way::Stream { shape: StreamShape { payload: Payload::Frame, .. }, .. } => Lane::Bulk,
+        Way::Stream { shape: StreamShape { payload: Payload::Plain { bytes }, .. }, .. } if *bytes > LONG => {
+            Lane::Bulk
+        }
+        Way::Stream { .. } | Way::Calls { .. } => Lane::Prompt,
+    }
 }
 
 struct Entry {
@@ -90,7 +106,7 @@ pub(super) struct Placed {
 
 impl StandIns {
     pub(super) fn new(line: Arc<Line>) -> StandIns {
-        StandIns { line, all: Mutex::default() }
+        StandIns { line, prompt: Mutex::default(), bulk: Mutex::default() }
     }
 
     /// Stands in for the client of a server that is here, in the memory of its offer.
@@ -104,7 +120,7 @@ impl StandIns {
         (instance, server): (&Arc<Instance>, &Ports),
         agreed: Agreed,
     ) -> Result<Arc<dyn StandIn>, String> {
-        let bell = self.line.bell();
+        let bell = self.line.bell(lane_of(way));
         let memory = offer.fd().map_err(|e| e.to_string())?;
         offer.ring(bell);
         let stand_in: Arc<dyn StandIn> = match (offer, way) {
@@ -136,7 +152,7 @@ impl StandIns {
     /// # Errors
     /// The sentence why that cannot be.
     pub(super) fn for_server(&self, way: &Way, agreed: Agreed, state: &[u8]) -> Result<Placed, String> {
-        let bell = self.line.bell().clone();
+        let bell = self.line.bell(Lane::Prompt).clone();
         let views = RemoteViews::new(way.header_bytes());
         let (stand_in, memory): (Arc<dyn StandIn>, _) = match way {
             Way::Stream { ty, shape, depth, .. } => {
@@ -163,14 +179,22 @@ impl StandIns {
         self.line.clock().here(theirs_ns)
     }
 
-    /// The bell of whoever sends.
+    /// The bell of whoever sends what a client says.
     pub(super) fn bell(&self) -> &Arc<trocar_rt::wake::Waker> {
-        self.line.bell()
+        self.line.bell(Lane::Prompt)
     }
 
-    pub(super) fn add(&self, link: Link, stand_in: Arc<dyn StandIn>) {
-        self.all.lock().push(Entry { link, stand_in, leaving: false });
-        self.line.bell().notify();
+    pub(super) fn add(&self, link: Link, way: &Way, stand_in: Arc<dyn StandIn>) {
+        let lane = lane_of(way);
+        self.of(lane).lock().push(Entry { link, stand_in, leaving: false });
+        self.line.bell(lane).notify();
+    }
+
+    fn of(&self, lane: Lane) -> &Mutex<Vec<Entry>> {
+        match lane {
+            Lane::Prompt => &self.prompt,
+            Lane::Bulk => &self.bulk,
+        }
     }
 
     /// Tells the other end that this one is ready: from now on it may send.
@@ -181,28 +205,39 @@ impl StandIns {
 
     /// The connection was cut.
     pub(super) fn leave(&self, link: Link) {
-        let mut all = self.all.lock();
-        for entry in all.iter_mut().filter(|entry| entry.link == link) {
-            entry.leaving = true;
-            entry.stand_in.leave();
+        for lane in [Lane::Prompt, Lane::Bulk] {
+            let mut all = self.of(lane).lock();
+            for entry in all.iter_mut().filter(|entry| entry.link == link) {
+                entry.leaving = true;
+                entry.stand_in.leave();
+            }
+            // A peer that leaves calls unanswered, or never says that it has left, keeps so many.
+            if all.iter().filter(|entry| entry.leaving).count() > MOST_LEAVING
+                && let Some(oldest) = all.iter().position(|entry| entry.leaving)
+            {
+                all.remove(oldest);
+            }
+            drop(all);
+            self.line.bell(lane).notify();
         }
-        // A peer that leaves calls unanswered, or never says that it has left, keeps so many.
-        if all.iter().filter(|entry| entry.leaving).count() > MOST_LEAVING
-            && let Some(oldest) = all.iter().position(|entry| entry.leaving)
-        {
-            all.remove(oldest);
-        }
-        drop(all);
-        self.line.bell().notify();
     }
 
     /// Takes in a message; one for a link that is gone says nothing any more.
-    pub(super) fn came(&self, kind: Kind, content: &[u8]) -> Result<(), String> {
+    pub(super) fn came(&self, lane: Lane, kind: Kind, content: &[u8]) -> Result<(), String> {
         let mut content = Take::new(content);
         let link = Link { connection: content.u64()?, epoch: content.u64()? };
-        let found =
-            self.all.lock().iter().find(|entry| entry.link == link).map(|entry| entry.stand_in.clone());
+        let found = match (lane, kind.is_sample()) {
+            // One thread fills a queue: that of its lane.
+            (_, true) => self.find(lane, link),
+            (Lane::Prompt, false) => self.find(lane, link).or_else(|| self.find(Lane::Bulk, link)),
+            (Lane::Bulk, false) => return Err(format!("{kind:?} on the bulk lane")),
+        };
         found.map_or(Ok(()), |stand_in| stand_in.came(kind, content, self.line.clock()))
+    }
+
+    fn find(&self, lane: Lane, link: Link) -> Option<Arc<dyn StandIn>> {
+        let all = self.of(lane).lock();
+        all.iter().find(|entry| entry.link == link).map(|entry| entry.stand_in.clone())
     }
 
     /// Tells a client's end of the line and the clocks at both ends.
@@ -212,14 +247,18 @@ impl StandIns {
         (detail.clock_offset_ns, detail.clock_bound_ns) = (clock.offset_ns(), clock.bound_ns());
     }
 
-    /// Appends what is to be sent now; true: there is more.
-    pub(super) fn fill(&self, out: &mut Outbox) -> bool {
-        let mut all = self.all.lock();
-        let mut more = false;
-        all.retain(|entry| {
-            more |= entry.stand_in.fill(entry.link, out);
-            !(entry.leaving && entry.stand_in.is_over())
-        });
+    /// Appends what is to be sent now on this lane, for the thread that sends there; true: there is more.
+    pub(super) fn fill(&self, lane: Lane, out: &mut Outbox) -> bool {
+        let all = self.of(lane);
+        let (mut at, mut more) = (0, false);
+        // A long sample is copied while others find their stand-ins.
+        loop {
+            let next = all.lock().get(at).map(|entry| (entry.link, entry.stand_in.clone()));
+            let Some((link, stand_in)) = next else { break };
+            at += 1;
+            more |= stand_in.fill(link, out);
+        }
+        all.lock().retain(|entry| !(entry.leaving && entry.stand_in.is_over()));
         more
     }
 }
