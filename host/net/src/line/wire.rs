@@ -4,13 +4,15 @@
 //! threads use a connection: one sends, one receives. Invariant: no length of the other end's is made room
 //! for before it was compared with [`MOST_BYTES`].
 
-use std::io::{self, Read, Write};
+use std::io::{self, BufRead, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::os::fd::AsFd;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
-use rustix::net::sockopt;
+use rustix::io::retry_on_intr;
+use rustix::net::{SendFlags, send, sockopt};
 use rustls::Connection;
 use trocar_rt::os::{set_most_rate, set_most_unsent, set_priority};
 
@@ -24,15 +26,41 @@ pub const MOST_BYTES: usize = 64 << 20;
 pub(super) const MOST_GREETING: usize = 4096;
 /// Bytes of length and kind.
 const HEAD: usize = 5;
-/// Bytes of room that stay for the next messages.
+/// Bytes of room that stay for the next messages in any case.
 const KEPT: usize = 1 << 20;
 /// Bytes that are encrypted before the receiving thread may come in between.
 const AT_ONCE: usize = 64 << 10;
+/// As above, where bytes are to leave evenly: what the card is given at once, it sends at once.
+const EVENLY: usize = 16 << 10;
+/// Uses of some room after which what none of them needed is given back.
+const USES: u32 = 64;
+
+/// How much of some room is needed: one large message does not keep it for ever, and a stream of them does
+/// not ask the kernel for it again and again.
+#[derive(Debug, Default)]
+struct Needed {
+    most: usize,
+    uses: u32,
+}
+
+impl Needed {
+    /// Empties the room after a use.
+    fn clear(&mut self, room: &mut Vec<u8>) {
+        self.most = self.most.max(room.len());
+        self.uses += 1;
+        room.clear();
+        if self.uses >= USES {
+            room.shrink_to(self.most.max(KEPT));
+            *self = Needed::default();
+        }
+    }
+}
 
 /// Messages on their way out.
 #[derive(Debug, Default)]
 pub struct Outbox {
     bytes: Vec<u8>,
+    needed: Needed,
 }
 
 impl Outbox {
@@ -55,9 +83,7 @@ impl Outbox {
     }
 
     pub(super) fn clear(&mut self) {
-        self.bytes.clear();
-        // One large message does not stay for ever.
-        self.bytes.shrink_to(KEPT);
+        self.needed.clear(&mut self.bytes);
     }
 
     /// The messages as they are sent.
@@ -72,6 +98,7 @@ pub(super) struct Inbox {
     bytes: Vec<u8>,
     /// Bytes that were handed out.
     done: usize,
+    needed: Needed,
 }
 
 impl Inbox {
@@ -101,10 +128,14 @@ impl Inbox {
 
     /// Moves what is not complete to the front.
     fn tidy(&mut self) {
-        self.bytes.drain(..std::mem::take(&mut self.done));
-        // One large message does not stay for ever; the next pieces of one that is coming find their room.
-        if self.bytes.is_empty() {
-            self.bytes.shrink_to(KEPT);
+        let done = std::mem::take(&mut self.done);
+        if done == 0 {
+            return;
+        }
+        if done == self.bytes.len() {
+            self.needed.clear(&mut self.bytes);
+        } else {
+            self.bytes.drain(..done);
         }
     }
 }
@@ -125,6 +156,8 @@ pub(super) struct Rank {
 pub(super) struct Wire {
     stream: TcpStream,
     tls: Mutex<Connection>,
+    /// Bytes leave evenly.
+    evenly: AtomicBool,
 }
 
 /// Result of one look at a connection.
@@ -148,7 +181,7 @@ impl Wire {
         stream.set_nodelay(true).map_err(|e| e.to_string())?;
         let left = until.saturating_duration_since(Instant::now()).max(Duration::from_millis(1));
         stream.set_write_timeout(Some(left)).map_err(|e| e.to_string())?;
-        let mut wire = Wire { stream, tls: Mutex::new(tls) };
+        let mut wire = Wire { stream, tls: Mutex::new(tls), evenly: AtomicBool::new(false) };
         let (mut room, mut inbox) = ([0; 4096], Inbox::default());
         while wire.tls.get_mut().is_handshaking() {
             wire.flush().map_err(|e| e.to_string())?;
@@ -210,6 +243,7 @@ impl Wire {
         let _ = set_most_unsent(socket, most_unsent);
         if let Some(rate) = most_rate {
             let _ = set_most_rate(socket, rate);
+            self.evenly.store(true, Ordering::Relaxed);
         }
     }
 
@@ -244,9 +278,13 @@ impl Wire {
                 let _ = (&self.stream).write_all(&alert);
                 return Err(Refused { why: said(&e), for_long: true });
             }
-            match tls.reader().read_to_end(&mut inbox.bytes) {
-                Err(e) if e.kind() != io::ErrorKind::WouldBlock => return Err(e.to_string().into()),
-                _ => {}
+            let mut reader = tls.reader();
+            while let Ok(piece) = reader.fill_buf()
+                && !piece.is_empty()
+            {
+                inbox.bytes.extend_from_slice(piece);
+                let taken = piece.len();
+                reader.consume(taken);
             }
         }
         Ok(())
@@ -257,17 +295,26 @@ impl Wire {
     /// # Errors
     /// The connection is over.
     pub(super) fn send(&self, mut bytes: &[u8]) -> io::Result<()> {
-        let mut sealed = Vec::with_capacity(bytes.len().min(AT_ONCE) + 1024);
+        // The kernel joins no two pieces that end so.
+        let (most, flags) = match self.evenly.load(Ordering::Relaxed) {
+            true => (EVENLY, SendFlags::NOSIGNAL | SendFlags::EOR),
+            false => (AT_ONCE, SendFlags::NOSIGNAL),
+        };
+        let mut sealed = Vec::with_capacity(bytes.len().min(most) + 1024);
         while !bytes.is_empty() {
             let mut tls = self.tls.lock();
-            let n = tls.writer().write(&bytes[..bytes.len().min(AT_ONCE)])?;
+            let n = tls.writer().write(&bytes[..bytes.len().min(most)])?;
             bytes = &bytes[n..];
             sealed.clear();
             while tls.wants_write() {
                 tls.write_tls(&mut sealed)?;
             }
             drop(tls);
-            (&self.stream).write_all(&sealed)?;
+            let mut rest = &sealed[..];
+            while !rest.is_empty() {
+                let sent = retry_on_intr(|| send(&self.stream, rest, flags))?;
+                rest = &rest[sent..];
+            }
         }
         Ok(())
     }
@@ -320,7 +367,7 @@ mod tests {
     #[test]
     fn a_length_that_cannot_be_is_refused_before_there_is_room_for_it() {
         for length in [0, MOST_BYTES as u32 + 1, u32::MAX] {
-            let mut inbox = Inbox { bytes: length.to_le_bytes().to_vec(), done: 0 };
+            let mut inbox = Inbox { bytes: length.to_le_bytes().to_vec(), ..Inbox::default() };
             assert!(inbox.next(MOST_BYTES).unwrap_err().contains("bytes"), "{length}");
         }
     }
