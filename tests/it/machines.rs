@@ -8,6 +8,7 @@ use std::net::TcpStream;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use trocar_tests::{Grpcurl, HostProcess, Output, Trocar, World, eventually};
 
@@ -19,7 +20,7 @@ struct Lab {
 
 impl Lab {
     fn new() -> Lab {
-        let world = World::with_plugins(&["example"]);
+        let world = World::with_plugins(&["example", "fixture_gauge"]);
         let trocar = Trocar::new(&world);
         trocar.run(&["ca", "init"]).ends_with(0);
         let issue = |rest: &str| {
@@ -292,11 +293,9 @@ fn connected(lab: &Lab) -> (HostProcess, HostProcess) {
 
 /// Commands and events that have passed the only connection, once there are more than so many.
 fn passed(lab: &Lab, before: u64) -> u64 {
-    let number = |of: &Value| of.as_str().and_then(|text| text.parse().ok()).unwrap_or(0);
     let mut now = 0;
     eventually("the connection carries", || {
-        let list = lab.grpc("vera").ok("GcmService/List", json!({}));
-        let connection = list["connections"][0].clone();
+        let connection = connection(lab);
         now = number(&connection["passed"]);
         let is_net = connection["carrier"] == "net" && number(&connection["roundTripNs"]) > 0;
         if now > before && is_net { Ok(()) } else { Err(connection) }
@@ -317,6 +316,67 @@ fn components_are_connected_over_an_encrypted_line_and_again_when_a_process_died
         if state == "ACTIVE" { Ok(()) } else { Err(state) }
     });
     passed(&lab, before);
+}
+
+/// The only connection, as it is listed.
+fn connection(lab: &Lab) -> Value {
+    lab.grpc("vera").ok("GcmService/List", json!({}))["connections"][0].clone()
+}
+
+fn send(process: &HostProcess, signal: Signal) {
+    let pid = i32::try_from(process.pid()).ok().and_then(Pid::from_raw);
+    let sent = pid.map(|pid| kill_process(pid, signal));
+    assert!(matches!(sent, Some(Ok(()))), "{} gets no signal: {sent:?}", process.name());
+}
+
+/// A number of 64 bits, as JSON has it.
+fn number(of: &Value) -> u64 {
+    of.as_str().and_then(|text| text.parse().ok()).unwrap_or(0)
+}
+
+#[test]
+fn each_sample_is_seen_or_counted_also_where_a_line_is_cut_under_a_stream() {
+    let lab = Lab::new();
+    let (_cart, sink) = (lab.host("cart", "cart"), lab.host("cart-2", "cart"));
+    let chief = lab.grpc("chief");
+    for (process, class) in [("cart", "sender"), ("cart-2", "sink")] {
+        chief.await_class(process, class);
+    }
+    chief.create("cart/sender", "sender", json!({}));
+    chief.create("cart-2/sink", "sink", json!({}));
+    let options = json!({ "carrier": "net", "queue": { "fifo": 4000, "dropOldest": true } });
+    let ends = json!({ "client": "cart-2/sink/small", "server": "cart/sender/small", "options": options });
+    chief.ok("GcmService/Connect", ends);
+    chief.start("cart-2/sink");
+    chief.start("cart/sender");
+    for _ in 0..3 {
+        let before = passed(&lab, 0);
+        passed(&lab, before);
+        send(&sink, Signal::STOP);
+        eventually("the line is lost", || {
+            let proxies = connection(&lab)["proxies"].clone();
+            let halves = proxies.as_array().map(Vec::as_slice).unwrap_or_default();
+            if halves.iter().all(|half| half["linked"] == true) { Err(proxies.clone()) } else { Ok(()) }
+        });
+        send(&sink, Signal::CONT);
+        let before = passed(&lab, 0);
+        passed(&lab, before + 100);
+    }
+    chief.ok("GcmService/Stop", json!({ "path": "cart/sender" }));
+    let stats =
+        chief.ok("GcmService/GetState", json!({ "path": "cart/sender" }))["component"]["stats"].clone();
+    // One in each step.
+    let sent = number(&stats["executed"]);
+    lab.types("describe cart/sender --identity vera.pem").ends_with(0).says("line: there and back");
+    let listed = lab.types("ls --json --identity vera.pem").ends_with(0).stdout;
+    let listed: Value = serde_json::from_str(&listed).unwrap_or_default();
+    assert!(listed["connections"][0]["line"]["clock_bound_ns"].as_u64() > Some(0), "{listed}");
+    eventually("nothing is on its way", || {
+        let now = connection(&lab);
+        // The sink takes the newest alone of those that wait.
+        let counted: u64 = ["passed", "skipped", "dropped"].iter().map(|figure| number(&now[figure])).sum();
+        if counted == sent { Ok(()) } else { Err(format!("{sent} were sent, {now}")) }
+    });
 }
 
 #[test]

@@ -16,8 +16,8 @@ pub(super) use self::steps::{fate, step, supervisor, wanted};
 use super::execution::ExecutionArgs;
 use super::question::Awaited;
 use super::view::{
-    ChangeView, ComponentView, ConnectionView, ExecutionView, ItemView, LogView, OptionsView, PluginView,
-    ProcessView, ProxyView, RowView, StatsView, SystemView, WaitView,
+    ChangeView, ComponentView, ConnectionView, ExecutionView, ItemView, LineView, LogView, OptionsView,
+    PluginView, ProcessView, ProxyView, RowView, StatsView, SystemView, WaitView,
 };
 
 pub(super) fn duration(ns: u64) -> prost_types::Duration {
@@ -206,6 +206,14 @@ pub(super) fn connection(c: &v1::Connection) -> ConnectionView {
         unexecuted: c.unexecuted,
         client_wake: c.client_wake.clone(),
         server_wake: c.server_wake.clone(),
+        // A line that stands has a time there and back.
+        line: (c.round_trip_ns > 0).then_some(LineView {
+            sent: c.sent,
+            came: c.came,
+            round_trip_ns: c.round_trip_ns,
+            clock_offset_ns: c.clock_offset_ns,
+            clock_bound_ns: c.clock_bound_ns,
+        }),
         proxies: c.proxies.iter().map(proxy).collect(),
     }
 }

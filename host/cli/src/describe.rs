@@ -75,6 +75,9 @@ fn render(view: &DescribeView, colour: bool) -> String {
             if !c.wakes().is_empty() {
                 page.line(2, &c.wakes());
             }
+            if c.line.is_some() {
+                page.line(2, &c.of_line());
+            }
             for p in &c.proxies {
                 page.line(2, &half(p));
             }

@@ -141,9 +141,24 @@ pub(super) struct ConnectionView {
     /// nothing comes.
     pub(super) client_wake: String,
     pub(super) server_wake: String,
+    /// The line between its ends, where they are on two machines.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) line: Option<LineView>,
     /// Its halves, where its ends are in two processes: the client's, then the server's.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) proxies: Vec<ProxyView>,
+}
+
+/// Figures of the line between two ends, and of what passes on it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct LineView {
+    /// Samples, answers, events and rows that left the server's end, and that are at the client's.
+    pub(super) sent: u64,
+    pub(super) came: u64,
+    pub(super) round_trip_ns: u64,
+    /// The server's clock less the client's, and the most by which that is wrong.
+    pub(super) clock_offset_ns: i64,
+    pub(super) clock_bound_ns: u64,
 }
 
 /// One half of a connection between two processes.
@@ -262,6 +277,23 @@ impl ConnectionView {
         let said = [("client", &self.client_wake), ("server", &self.server_wake)];
         let said = said.iter().filter(|(_, wake)| !wake.is_empty());
         said.map(|(end, wake)| format!("wake of the {end}: {wake}")).collect::<Vec<_>>().join(", ")
+    }
+
+    /// Returns the figures of the line between its ends; empty where there is none.
+    pub(super) fn of_line(&self) -> String {
+        let Some(line) = &self.line else { return String::new() };
+        let ahead = match line.clock_offset_ns {
+            0.. => "ahead of",
+            _ => "behind",
+        };
+        format!(
+            "line: there and back {}, sent {}, came {}; the server's clock is {} {ahead} the client's, ± {}",
+            super::units::time(line.round_trip_ns),
+            line.sent,
+            line.came,
+            super::units::time(line.clock_offset_ns.unsigned_abs()),
+            super::units::time(line.clock_bound_ns),
+        )
     }
 
     /// Returns how its data travel, or that they do not.

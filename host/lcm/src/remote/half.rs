@@ -21,6 +21,7 @@ use super::missed::Missed;
 use super::server::ServerWires;
 use super::stand_in::StandIn;
 use super::terms::{Terms, Way};
+use super::words::Ended;
 
 /// Time a server's process may take to answer before it is asked again.
 const ANSWER: Duration = Duration::from_secs(1);
@@ -54,6 +55,8 @@ pub(super) struct Stage {
     before: LinkDetail,
     /// For an output: its writes while it was not linked.
     missed: Missed,
+    /// The last link of a stream whose ends shared no memory.
+    ended: Option<Ended>,
 }
 
 pub(super) struct Linked {
@@ -67,6 +70,15 @@ pub(super) struct Linked {
 pub(super) enum Wires {
     Client(ClientWires),
     Server(ServerWires),
+}
+
+impl Wires {
+    fn is_stream(&self) -> bool {
+        match self {
+            Wires::Client(wires) => matches!(wires, ClientWires::Input { .. }),
+            Wires::Server(wires) => wires.is_output(),
+        }
+    }
 }
 
 impl Half {
@@ -262,6 +274,9 @@ impl Half {
             }
         }
         let mut stage = self.stage();
+        if linked.stand_in.is_some() && linked.wires.is_stream() {
+            stage.ended = Some(Ended { epoch: linked.epoch, samples: last.sent.max(last.came) });
+        }
         stage.before = std::mem::take(&mut stage.before).followed_by(&last);
         if let Some(offered) = offered {
             stage.missed.ended(offered);
@@ -271,6 +286,22 @@ impl Half {
             self.here.instance.disconnected(self.connection.client.port.as_str(), how);
         }
         Some(linked)
+    }
+
+    /// The last link of a stream that shared no memory, as this end has seen it.
+    pub(super) fn ended(&self) -> Option<Ended> {
+        self.stage().ended
+    }
+
+    /// Counts the samples of the last link that left this end and did not come to the other one.
+    pub(super) fn lost_on_the_way(&self, came: Option<Ended>) {
+        let mut stage = self.stage();
+        if let Some((left, came)) = stage.ended.zip(came)
+            && left.epoch == came.epoch
+        {
+            stage.ended = None;
+            stage.before.dropped += left.samples.saturating_sub(came.samples);
+        }
     }
 
     /// Handles the loss of the other process: waiting callers are answered now, inputs have no source; the

@@ -285,7 +285,7 @@ impl Linking {
             Err(refusal) => return half.fail(refusal.to_string(), true),
         };
         let code = (half.same_class)().and_then(|own| code_of(&own.info));
-        let words = Words::Open { connection: half.number(), hash, code };
+        let words = Words::Open { connection: half.number(), hash, code, before: half.ended() };
         match session.say(&words, &[], &[]) {
             Ok(()) => half.asked(Some(&*session)),
             Err(why) => half.fail(why, false),
@@ -384,7 +384,7 @@ impl Linking {
     /// Handles what the client's process says to a server here; what only a server says is ignored.
     fn said_by_client(&mut self, session: &Arc<dyn Session>, half: &Arc<Half>, words: Words, behind: &[u8]) {
         match words {
-            Words::Open { hash, code, .. } => self.opens(session, half, hash, code),
+            Words::Open { hash, code, before, .. } => self.opens(session, half, (hash, code), before),
             Words::Panicked { epoch, count, .. } => {
                 half.with_wires(session, epoch, |wires| {
                     if let Wires::Server(wires) = wires {

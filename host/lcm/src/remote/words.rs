@@ -25,6 +25,9 @@ pub(super) enum Words {
         hash: u64,
         #[serde(default)]
         code: Option<String>,
+        /// What came over the link before, where it had no memory of both.
+        #[serde(default)]
+        before: Option<Ended>,
     },
     /// The memory for the link; after it that of the server's rows, if `rows`, then that of these pools.
     Opened {
@@ -51,6 +54,13 @@ pub(super) enum Words {
     Ask { connection: u64, epoch: u64, number: u64, index: u32, left_ns: u64 },
     /// Result of a read; the value follows, then the sentence.
     Told { connection: u64, epoch: u64, number: u64, outcome: i32, stamp_ns: u64, value_bytes: u32 },
+}
+
+/// A link that has ended: samples that left the server's end, or came to the client's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Ended {
+    pub(super) epoch: u64,
+    pub(super) samples: u64,
 }
 
 /// A pool, by its place on the link.

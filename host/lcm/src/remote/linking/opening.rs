@@ -21,7 +21,7 @@ use super::super::server::{Offer, ServerWires};
 use super::super::serving::QuestionQueue;
 use super::super::stand_in::{Link, Placed, StandIns};
 use super::super::terms::Terms;
-use super::super::words::{Pool, Words};
+use super::super::words::{Ended, Pool, Words};
 use super::Linking;
 
 /// A message about memory that was made, with the bytes behind it and the files that go along.
@@ -52,10 +52,13 @@ impl Linking {
         &mut self,
         session: &Arc<dyn Session>,
         half: &Arc<Half>,
-        hash: u64,
-        code: Option<String>,
+        (hash, code): (u64, Option<String>),
+        before: Option<Ended>,
     ) {
         let connection = half.number();
+        // A client that asks again has lost its end.
+        self.unlink(half, None, "its client asked anew", Loss::Cut, true);
+        half.lost_on_the_way(before);
         let offered = match self.offer(session, half, hash, code) {
             Ok(offered) => offered,
             Err(why) => {
@@ -84,8 +87,6 @@ impl Linking {
         let connection = half.number();
         let (_, terms) = half.terms(false).map_err(|refusal| refusal.to_string())?;
         agree(half, &terms, hash)?;
-        // A client that asks again has lost its end.
-        self.unlink(half, None, "its client asked anew", Loss::Cut, true);
         // Rows are memory, and stay on their machine.
         let code = code.filter(|_| session.stand_ins().is_none());
         let rows = rows_for(half, code);
