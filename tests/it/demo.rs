@@ -56,7 +56,10 @@ fn a_running_demo_answers_grpcurl_and_ends_cleanly_on_ctrl_c() {
     for component in &components {
         assert_eq!(component["state"], "COMPONENT_STATE_ACTIVE", "{component}");
     }
-    assert!(demo.printed().contains("grpcurl"), "it prints lines to paste: {}", demo.printed());
+    eventually("it prints lines to paste", || {
+        let printed = demo.printed();
+        if printed.contains("grpcurl") { Ok(()) } else { Err(printed) }
+    });
 
     let status = demo.interrupt();
     assert!(status.success(), "a demo that was asked to end has succeeded: {status}\n{}", demo.printed());

@@ -79,7 +79,7 @@ impl Machines {
         let of_gcm = gcm.and_then(|gcm| gcm.strip_prefix("https://"));
         let listen = match (&self.lines, of_gcm, &self.listen) {
             (Some(lines), ..) => address(lines)?,
-            // Where the network is not up yet, at all addresses that come.
+            // At all addresses that come, if the network is not up yet.
             (None, Some(gcm), _) => {
                 let everywhere = IpAddr::from([0; 4]);
                 SocketAddr::new(towards(gcm).unwrap_or(everywhere), 0)

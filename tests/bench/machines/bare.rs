@@ -1,4 +1,4 @@
-//! What TCP charges two processes without trocar: a write and a read, nothing encrypted.
+//! Samples over TCP without trocar, between two processes: a write and a read, nothing encrypted.
 //!
 //! Invariant: the other end is this program again, told so by its first argument; it ends when it has taken
 //! all.

@@ -82,7 +82,7 @@ pub(super) fn measure(table: &mut Table) {
 
 fn round(lab: &Lab, count: usize) -> (f64, f64) {
     lab.start_only("far/sender");
-    // What came first still met new memory.
+    // The first samples still met new memory.
     lab.wait("near/sink", "got", 20.0);
     lab.invoke("near/sink/time/clear", Value::Null);
     lab.wait_until("near/sink", "got", count as f64);

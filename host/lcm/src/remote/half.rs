@@ -140,12 +140,12 @@ impl Half {
 
     /// Takes over the counts of another half of the same connection.
     pub(super) fn go_on_from(&self, other: &Half) {
-        let (before, missed) = {
+        let (before, missed, ended) = {
             let other = other.stage();
-            (other.before.clone(), other.missed)
+            (other.before.clone(), other.missed, other.ended)
         };
         let mut stage = self.stage();
-        (stage.before, stage.missed) = (before, missed);
+        (stage.before, stage.missed, stage.ended) = (before, missed, ended);
     }
 
     /// The wires, if it is linked over this session in this epoch.
@@ -260,6 +260,9 @@ impl Half {
         let linked = stage.linked.take_if(is_it)?;
         why.clone_into(&mut stage.why);
         drop(stage);
+        if let Some(stand_in) = &linked.stand_in {
+            stand_in.halt();
+        }
         let (mut last, offered) = match &linked.wires {
             Wires::Client(wires) => {
                 wires.disconnect(&self.here, how);
@@ -268,7 +271,12 @@ impl Half {
             Wires::Server(wires) => wires.end(&self.connection, &self.here),
         };
         if let Some(stand_in) = &linked.stand_in {
+            let taken = last.passed;
             stand_in.correct(&mut last);
+            if offered.is_some() {
+                // Samples that waited are dropped already.
+                last.sent = last.sent.min(taken);
+            }
             if linked.session.is_lost() {
                 last.unexecuted += stand_in.lost();
             }

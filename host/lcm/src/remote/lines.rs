@@ -25,7 +25,7 @@ const MOST_AT_ONCE: usize = 4 << 20;
 /// Bytes of words of one line that may wait to be handled, each with [`WORDS`] more.
 const MOST_WAITING: usize = 16 << 20;
 /// Bytes that count for whatever words cost.
-const WORDS: usize = 16 << 10;
+const WORDS: usize = 4 << 10;
 
 /// The way by which other machines reach this process.
 #[derive(Clone, Debug)]

@@ -25,7 +25,7 @@ pub(super) enum Words {
         hash: u64,
         #[serde(default)]
         code: Option<String>,
-        /// What came over the link before, where it had no memory of both.
+        /// The last link, where its ends shared no memory.
         #[serde(default)]
         before: Option<Ended>,
     },

@@ -125,10 +125,11 @@ fn meet(stream: TcpStream, seat: Seat, shared: &Shared) -> Result<(), Refused> {
     let line = shared.number();
     let awaited = shared.guests.await_second(line, &who, &holder).inspect_err(|no| turn_away(&wire, no))?;
     let met = answer((&mut wire, inbox), (own, who), line, until)?;
+    // The second connection takes a place, too: nobody keeps it out.
+    drop(seat);
     let Some(second) = awaited.wait(until) else {
         return Err(format!("{} began a line and did not go on", met.who.process).into());
     };
-    drop(seat);
     let line = shared.line(met.who, (line, holder), [wire, second.wire], met.clock);
     shared.let_in(&line, [met.inbox, second.inbox])
 }

@@ -59,16 +59,28 @@ impl Drop for Awaited<'_> {
     }
 }
 
+fn full() -> Refused {
+    let why = format!("{MOST_GUESTS} processes have lines to this one, which is as many as it takes");
+    Refused { why, for_long: true }
+}
+
 impl Guests {
     /// Expects the second connection of a line that is begun.
     ///
     /// # Errors
     /// There are as many lines as this process takes.
     pub(super) fn await_second(&self, line: u64, who: &Who, holder: &Holder) -> Result<Awaited<'_>, Refused> {
-        self.has_room(who)?;
         let (give, second) = sync_channel(1);
         let half = Half { who: who.clone(), serial: holder.serial.clone(), give };
-        self.halves.lock().insert(line, half);
+        let mut halves = self.halves.lock();
+        // An older one of the same process waits for nothing any more.
+        halves.retain(|_, half| half.who.process != who.process);
+        let is_other = |line: &&Arc<Line>| line.who.process != who.process && !line.is_lost();
+        let others = self.live.lock().iter().filter(is_other).count();
+        if halves.len() + others >= MOST_GUESTS {
+            return Err(full());
+        }
+        halves.insert(line, half);
         Ok(Awaited { guests: self, line, second })
     }
 
@@ -102,26 +114,63 @@ impl Guests {
         let before = live.iter().filter(|other| other.who.process == line.who.process);
         before.for_each(|other| other.end("that process has called anew"));
         live.retain(|other| !other.is_lost());
-        drop(live);
-        self.has_room(&line.who)?;
-        self.live.lock().push(line.clone());
-        Ok(())
-    }
-
-    fn has_room(&self, who: &Who) -> Result<(), Refused> {
-        let live = self.live.lock();
-        let others = live.iter().filter(|other| other.who.process != who.process).count();
-        match others < MOST_GUESTS {
-            true => Ok(()),
-            false => {
-                let why =
-                    format!("{MOST_GUESTS} processes have lines to this one, which is as many as it takes");
-                Err(Refused { why, for_long: true })
-            }
+        if live.len() >= MOST_GUESTS {
+            return Err(full());
         }
+        live.push(line.clone());
+        Ok(())
     }
 
     pub(super) fn remove(&self, line: &Arc<Line>) {
         self.live.lock().retain(|other| !Arc::ptr_eq(other, line));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::time::Duration;
+
+    use super::*;
+    use crate::role::Role;
+
+    fn who(process: &str) -> (Who, Holder) {
+        let serial = process.as_bytes().to_vec();
+        let holder =
+            Holder { name: process.into(), role: Role::Host, processes: vec![process.into()], serial };
+        (Who { process: process.into(), instance: "1".into() }, holder)
+    }
+
+    #[test]
+    fn a_process_that_begins_anew_waits_for_one_second_connection_alone() {
+        let guests = Guests::default();
+        let (cart, holder) = who("cart");
+        let first = guests.await_second(1, &cart, &holder).ok().unwrap();
+        let other = who("other");
+        let others = guests.await_second(2, &other.0, &other.1).ok().unwrap();
+        let second = guests.await_second(3, &cart, &holder).ok().unwrap();
+        // A watchdog, not a claim: the first ends at once, since nobody can give it anything any more.
+        let until = Instant::now() + Duration::from_secs(60);
+        assert!(first.wait(until).is_none() && Instant::now() < until);
+        assert_eq!(guests.halves.lock().keys().copied().collect::<Vec<_>>(), [2, 3]);
+        drop((first, second, others));
+        assert!(guests.halves.lock().is_empty());
+    }
+
+    #[test]
+    fn half_begun_lines_take_places_and_no_more_than_there_are() {
+        let guests = Guests::default();
+        let all: Vec<_> = (0..MOST_GUESTS as u64)
+            .map(|n| {
+                let (who, holder) = who(&format!("p{n}"));
+                guests.await_second(n, &who, &holder).ok().unwrap()
+            })
+            .collect();
+        let (one, holder) = who("one");
+        let refused = guests.await_second(9999, &one, &holder).err().unwrap();
+        assert!(refused.for_long && refused.why.contains("as many as it takes"), "{}", refused.why);
+        drop(all);
+        assert!(guests.await_second(9999, &one, &holder).is_ok());
     }
 }

@@ -75,7 +75,7 @@ pub(super) struct Shared {
     pub(super) over: AtomicBool,
     /// Lines that live, to be ended at the end.
     lines: Mutex<Vec<Arc<Line>>>,
-    /// Those of them that other processes have begun.
+    /// Lines that other processes have begun.
     pub(super) guests: Guests,
     threads: Mutex<Vec<JoinHandle<()>>>,
     /// When the log was told last of somebody who was turned away, and how many were since.

@@ -53,7 +53,7 @@ pub struct Line {
 /// One of the two ways of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lane {
-    /// What is short and awaited: words, commands, answers, events, small samples.
+    /// Short messages that are awaited: words, commands, answers, events, small samples.
     Prompt,
     /// Large samples. They hold up each other, and nothing else.
     Bulk,

@@ -18,8 +18,8 @@ use crate::revoked::Revoked;
 
 /// Time between two looks at the list of revoked certificates, ns.
 const JUDGED_NS: u64 = 50_000_000;
-/// Time in which the other end takes no byte, after which a line is lost.
-const STALLED: Duration = Duration::from_secs(1);
+/// Bytes of long samples that may wait in the kernel.
+const MOST_UNSENT: u64 = 256 << 10;
 /// Bytes of one read.
 const ROOM: usize = 128 << 10;
 
@@ -32,12 +32,20 @@ impl Lane {
         }
     }
 
-    /// Silence after which the line is lost, ns. Acknowledgements of long samples wait in the same queues as
-    /// they do, and a bulk lane that is cut alone is seen by whoever sends, too.
+    /// Silence after which the line is lost, ns. Long samples go last: on a full link they may come to a
+    /// halt, and that the other end lives is known by the prompt lane.
     fn silent_ns(self) -> u64 {
         match self {
             Lane::Prompt => 100_000_000,
-            Lane::Bulk => 1_000_000_000,
+            Lane::Bulk => 5_000_000_000,
+        }
+    }
+
+    /// Time in which the other end takes hardly a byte, after which the line is lost.
+    fn stalled(self) -> Duration {
+        match self {
+            Lane::Prompt => Duration::from_secs(1),
+            Lane::Bulk => Duration::from_secs(5),
         }
     }
 
@@ -45,7 +53,11 @@ impl Lane {
     fn rank(self, most_rate: Option<u64>) -> Rank {
         match self {
             Lane::Prompt => Rank { priority: 6, class: 46 << 2, most_unsent: 128 << 10, most_rate: None },
-            Lane::Bulk => Rank { priority: 2, class: 0, most_unsent: 256 << 10, most_rate },
+            Lane::Bulk => {
+                // A quarter of a second's worth: a slow lane goes on in small steps.
+                let most_unsent = most_rate.map_or(MOST_UNSENT, |rate| (rate / 4).min(MOST_UNSENT));
+                Rank { priority: 2, class: 0, most_unsent: most_unsent as u32, most_rate }
+            }
         }
     }
 
@@ -90,7 +102,7 @@ fn receive(
     let (wire, beat_ns) = (&line.track(lane).wire, lane.beat_ns());
     let mut room = vec![0; ROOM];
     wire.rank(lane.rank(line.most_rate));
-    if let Err(e) = wire.wait_for(Duration::from_nanos(beat_ns), STALLED) {
+    if let Err(e) = wire.wait_for(Duration::from_nanos(beat_ns), lane.stalled()) {
         return e.to_string();
     }
     let (mut heard_ns, mut looked_ns, mut judged_ns) = (now_ns(), now_ns(), now_ns());

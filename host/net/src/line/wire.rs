@@ -35,7 +35,7 @@ const EVENLY: usize = 16 << 10;
 /// Uses of some room after which what none of them needed is given back.
 const USES: u32 = 64;
 
-/// How much of some room is needed: one large message does not keep it for ever, and a stream of them does
+/// The need of some room: one large message does not keep it for ever, and a stream of them does
 /// not ask the kernel for it again and again.
 #[derive(Debug, Default)]
 struct Needed {
@@ -135,6 +135,7 @@ impl Inbox {
         if done == self.bytes.len() {
             self.needed.clear(&mut self.bytes);
         } else {
+            self.needed.most = self.needed.most.max(self.bytes.len());
             self.bytes.drain(..done);
         }
     }
@@ -233,11 +234,9 @@ impl Wire {
     /// it is a slower one.
     pub(super) fn rank(&self, Rank { priority, class, most_unsent, most_rate }: Rank) {
         let socket = self.stream.as_fd();
-        let is_v6 = self.stream.peer_addr().is_ok_and(|addr| addr.is_ipv6());
-        let _ = match is_v6 {
-            true => sockopt::set_ipv6_tclass(socket, class.into()),
-            false => sockopt::set_ip_tos(socket, class),
-        };
+        // A socket of version 6 may carry packets of version 4.
+        let _ = sockopt::set_ipv6_tclass(socket, class.into());
+        let _ = sockopt::set_ip_tos(socket, class);
         // The class has set another one.
         let _ = set_priority(socket, priority);
         let _ = set_most_unsent(socket, most_unsent);

@@ -138,7 +138,11 @@ impl Linking {
             // It may be linked, and its other end may not know.
             self.unlink(half, Some(session), &why, Loss::Cut, false);
             half.fail(why, true);
-            let _ = session.say(&Words::Close { connection: half.number(), epoch }, &[], &[]);
+            let connection = half.number();
+            let _ = session.say(&Words::Close { connection, epoch }, &[], &[]);
+            if let Some(stand_ins) = session.stand_ins() {
+                let _ = stand_ins.forgo(Link { connection, epoch });
+            }
         }
     }
 

@@ -60,6 +60,9 @@ pub(super) trait StandIn: Send + Sync {
         0
     }
 
+    /// Takes no more of what the end that is here has put, and still puts.
+    fn halt(&self) {}
+
     /// The connection was cut.
     fn leave(&self) {}
 
@@ -72,7 +75,7 @@ pub(super) trait StandIn: Send + Sync {
 /// All stand-ins of one line.
 pub(super) struct StandIns {
     line: Arc<Line>,
-    /// Those of each lane.
+    /// Stand-ins of each lane.
     prompt: Mutex<Vec<Entry>>,
     bulk: Mutex<Vec<Entry>>,
 }
@@ -203,6 +206,12 @@ impl StandIns {
         self.line.say(Kind::Ready as u8, content).map_err(|e| e.to_string())
     }
 
+    /// Tells the other end that nobody comes to this link.
+    pub(super) fn forgo(&self, link: Link) -> Result<(), String> {
+        let content = codec::content(link, |_| ());
+        self.line.say(Kind::Left as u8, content).map_err(|e| e.to_string())
+    }
+
     /// The connection was cut.
     pub(super) fn leave(&self, link: Link) {
         for lane in [Lane::Prompt, Lane::Bulk] {
@@ -232,12 +241,18 @@ impl StandIns {
             (Lane::Prompt, false) => self.find(lane, link).or_else(|| self.find(Lane::Bulk, link)),
             (Lane::Bulk, false) => return Err(format!("{kind:?} on the bulk lane")),
         };
-        found.map_or(Ok(()), |stand_in| stand_in.came(kind, content, self.line.clock()))
+        let Some((of, stand_in)) = found else { return Ok(()) };
+        stand_in.came(kind, content, self.line.clock())?;
+        if of != lane {
+            // Whoever sends there may have waited for it.
+            self.line.bell(of).notify();
+        }
+        Ok(())
     }
 
-    fn find(&self, lane: Lane, link: Link) -> Option<Arc<dyn StandIn>> {
+    fn find(&self, lane: Lane, link: Link) -> Option<(Lane, Arc<dyn StandIn>)> {
         let all = self.of(lane).lock();
-        all.iter().find(|entry| entry.link == link).map(|entry| entry.stand_in.clone())
+        all.iter().find(|entry| entry.link == link).map(|entry| (lane, entry.stand_in.clone()))
     }
 
     /// Tells a client's end of the line and the clocks at both ends.
@@ -258,7 +273,10 @@ impl StandIns {
             at += 1;
             more |= stand_in.fill(link, out);
         }
-        all.lock().retain(|entry| !(entry.leaving && entry.stand_in.is_over()));
+        // They give back memory: that takes its time, and nobody waits for it.
+        let over: Vec<_> =
+            all.lock().extract_if(.., |entry| entry.leaving && entry.stand_in.is_over()).collect();
+        drop(over);
         more
     }
 }

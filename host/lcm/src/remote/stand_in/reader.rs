@@ -77,16 +77,18 @@ impl StandIn for AbsentReader {
     fn came(&self, kind: Kind, _: Take<'_>, _: &Clock) -> Result<(), String> {
         match kind {
             Kind::Ready => self.ready.store(true, Ordering::Release),
+            // Nobody comes to take its samples.
+            Kind::Left => {}
             other => return Err(format!("{other:?} of a reader")),
         }
         Ok(())
     }
 
     fn fill(&self, link: Link, out: &mut Outbox) -> bool {
+        let mut end = self.end.lock();
         if !self.ready.load(Ordering::Acquire) {
             return false;
         }
-        let mut end = self.end.lock();
         let End { stream, known } = &mut *end;
         self.know_pools(known);
         let until = out.len() + AT_ONCE;
@@ -112,6 +114,11 @@ impl StandIn for AbsentReader {
             }
         }
         true
+    }
+
+    fn halt(&self) {
+        let _end = self.end.lock();
+        self.ready.store(false, Ordering::Release);
     }
 
     fn correct(&self, detail: &mut LinkDetail) {

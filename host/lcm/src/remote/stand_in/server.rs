@@ -185,7 +185,7 @@ impl StandIn for AbsentServer {
         detail.came = self.came.load(Ordering::Relaxed);
     }
 
-    /// Those that wait here, and those that are not known to have come there.
+    /// Commands that wait here, and that are not known to have come there.
     fn lost(&self) -> u64 {
         let book = self.book.lock();
         self.calls.commands.stats().queued + book.sent.saturating_sub(book.arrived)

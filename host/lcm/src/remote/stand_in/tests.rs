@@ -93,7 +93,7 @@ fn no_more_commands_are_on_their_way_than_the_server_has_room_for() {
     let ((here, absent_server), (there, absent_client)) = (server(), client());
     ready(&absent_client);
     for _ in 0..3 {
-        // Those that wait there have room again in the queue here; beyond that it is full.
+        // Commands that wait there have room again in the queue here; beyond that it is full.
         (0..DEPTH).for_each(|_| assert_eq!(send(&here), Push::Queued));
         pass(&absent_server, &absent_client);
         (0..DEPTH).for_each(|_| assert_eq!(send(&here), Push::Queued));
@@ -120,6 +120,26 @@ fn commands_before_the_cut_come_and_later_ones_are_refused() {
 }
 
 #[test]
+fn what_waits_in_the_queue_of_the_server_is_lost_at_that_end_alone() {
+    let ((here, absent_server), (_there, absent_client)) = (server(), client());
+    ready(&absent_client);
+    (0..3).for_each(|_| assert_eq!(send(&here), Push::Queued));
+    pass(&absent_server, &absent_client);
+    assert_eq!(absent_server.lost(), 3, "it is not known yet that they have come");
+    pass(&absent_client, &absent_server);
+    assert_eq!(absent_server.lost(), 0, "they wait there, and are counted there");
+}
+
+#[test]
+fn a_command_that_overtakes_the_word_that_its_end_is_ready_is_taken() {
+    let ((here, absent_server), (there, absent_client)) = (server(), client());
+    assert_eq!(send(&here), Push::Queued);
+    pass(&absent_server, &absent_client);
+    ready(&absent_client);
+    assert_eq!(taken(&there), 1);
+}
+
+#[test]
 fn a_lost_line_leaves_undone_what_waits_here_and_what_is_not_known_to_have_come() {
     let ((here, absent_server), (there, absent_client)) = (server(), client());
     ready(&absent_client);
@@ -138,10 +158,6 @@ fn a_lost_line_leaves_undone_what_waits_here_and_what_is_not_known_to_have_come(
 fn a_client_that_keeps_to_no_bound_is_listened_to_no_more() {
     let (_there, absent) = client();
     let command = [0; 32];
-    let came = || absent.came(Kind::Command, Take::new(&command), &Clock::default());
-    assert!(came().unwrap_err().contains("room"), "it has not said that it is ready");
-    let (_there, absent) = client();
-    ready(&absent);
     let came = || absent.came(Kind::Command, Take::new(&command), &Clock::default());
     (0..2 * DEPTH).for_each(|_| came().unwrap());
     assert!(came().unwrap_err().contains("room"));
