@@ -98,7 +98,7 @@ fn let_in(stream: TcpStream, from: SocketAddr, guests: &Arc<AtomicUsize>, shared
         return;
     }
     let mine = shared.clone();
-    let thread = std::thread::Builder::new().name("trocar-line".into());
+    let thread = std::thread::Builder::new().name("trocar-greet".into());
     match house::spawn(thread, move || greet(stream, from, seat, &mine)) {
         Ok(thread) => shared.keep(thread),
         Err(e) => log::warn!("a process at {from} is not let in: no thread for it: {e}"),

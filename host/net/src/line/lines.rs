@@ -134,7 +134,7 @@ impl Lines {
             return;
         }
         let (shared, there, mine) = (self.shared.clone(), place.clone(), want.bell.clone());
-        let thread = std::thread::Builder::new().name("trocar-line".into());
+        let thread = std::thread::Builder::new().name("trocar-dial".into());
         match house::spawn(thread, move || shared.dial(&there, &mine)) {
             Ok(thread) => {
                 want.dials = true;

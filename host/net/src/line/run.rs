@@ -9,13 +9,16 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use trocar_rt::house;
-use trocar_rt::os::now_ns;
+use trocar_rt::os::{now_ns, set_fifo};
 
 use super::greeting::{BEAT, beat_in, put_beat};
 use super::wire::{Came, Inbox, MOST_BYTES, Outbox, Rank, is_nothing};
 use super::{Lane, Line, Traffic};
 use crate::revoked::Revoked;
 
+/// Real-time priority of the threads of the prompt lane: callers wait for them, and a lane that is silent for
+/// long is lost. Components have higher ones where they have deadlines.
+const PRIORITY: u8 = 30;
 /// Time between two looks at the list of revoked certificates, ns.
 const JUDGED_NS: u64 = 50_000_000;
 /// Bytes of long samples that may wait in the kernel.
@@ -61,6 +64,15 @@ impl Lane {
         }
     }
 
+    /// Makes the calling thread a real-time one, where the lane needs that and the machine allows it. Its
+    /// children would be, too.
+    fn prefer(self) {
+        if self == Lane::Prompt {
+            // Without the right to it the thread runs as others do.
+            let _ = set_fifo(PRIORITY);
+        }
+    }
+
     fn threads(self) -> [&'static str; 2] {
         match self {
             Lane::Prompt => ["trocar-line", "trocar-line-out"],
@@ -69,17 +81,19 @@ impl Lane {
     }
 }
 
-/// Runs a line on this thread until it is lost; others send, and serve the bulk lane.
+/// Runs a line until it is lost.
 pub(super) fn run(
     line: &Arc<Line>,
     traffic: &Arc<dyn Traffic>,
     [prompt, bulk]: [Inbox; 2],
     revoked: Option<Arc<Revoked>>,
 ) {
-    let (mine, its) = (line.clone(), traffic.clone());
-    let beside = line.spawn(Lane::Bulk.threads()[0], move || serve(&mine, &its, Lane::Bulk, bulk, None));
-    serve(line, traffic, Lane::Prompt, prompt, revoked.as_deref());
-    line.join(beside);
+    let lanes = [(Lane::Prompt, prompt, revoked), (Lane::Bulk, bulk, None)];
+    let threads = lanes.map(|(lane, inbox, revoked)| {
+        let (mine, its) = (line.clone(), traffic.clone());
+        line.spawn(lane.threads()[0], move || serve(&mine, &its, lane, inbox, revoked.as_deref()))
+    });
+    threads.into_iter().for_each(|thread| line.join(thread));
 }
 
 /// Serves one lane until the line is lost.
@@ -99,6 +113,7 @@ fn receive(
     mut inbox: Inbox,
     revoked: Option<&Revoked>,
 ) -> String {
+    lane.prefer();
     let (wire, beat_ns) = (&line.track(lane).wire, lane.beat_ns());
     let mut room = vec![0; ROOM];
     wire.rank(lane.rank(line.most_rate));
@@ -161,6 +176,7 @@ fn is_revoked(list: &Revoked, line: &Line) -> bool {
 }
 
 fn send(line: &Line, traffic: &dyn Traffic, lane: Lane) {
+    lane.prefer();
     let track = line.track(lane);
     let mut out = Outbox::default();
     let mut next_ns = now_ns();

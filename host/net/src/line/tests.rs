@@ -204,6 +204,46 @@ fn what_is_long_holds_up_nothing_that_is_short() {
     assert_eq!([heard(), heard()], [(14, 8 << 20), (15, 0)]);
 }
 
+/// Policies by which the kernel schedules the threads of this name.
+fn policies(name: &str) -> Vec<String> {
+    let tasks = std::fs::read_dir("/proc/self/task").unwrap().flatten();
+    let stats = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("stat")).ok());
+    let named = stats.filter_map(|stat| {
+        let (before, after) = stat.rsplit_once(") ")?;
+        (before.split_once('(')?.1 == name).then(|| after.split(' ').nth(38).map(str::to_owned))?
+    });
+    named.collect()
+}
+
+#[test]
+fn the_threads_that_callers_wait_for_are_real_time_ones_where_the_machine_allows_it() {
+    let mut lab = Lab::new();
+    let (left, right) = (lab.process("left"), lab.process("right"));
+    left.lines.want(&right.place);
+    left.meets();
+    let is_allowed = std::thread::spawn(|| trocar_rt::os::set_fifo(1).is_ok()).join().unwrap();
+    let real_time = if is_allowed { "1" } else { "0" };
+    let expected = [
+        ("trocar-line", real_time),
+        ("trocar-line-out", real_time),
+        ("trocar-bulk", "0"),
+        ("trocar-dial", "0"),
+    ];
+    let until = std::time::Instant::now() + PATIENCE;
+    // Lines of other tests are just being made.
+    loop {
+        let seen = expected.map(|(name, _)| policies(name));
+        let are_so = |(seen, (_, policy)): (&Vec<String>, &(&str, &str))| {
+            !seen.is_empty() && seen.iter().all(|one| one == policy)
+        };
+        if seen.iter().zip(&expected).all(are_so) {
+            return;
+        }
+        assert!(std::time::Instant::now() < until, "{expected:?}, and these are: {seen:?}");
+        std::thread::yield_now();
+    }
+}
+
 #[test]
 fn a_second_connection_that_belongs_to_no_line_of_its_process_is_refused() {
     let mut lab = Lab::new();
