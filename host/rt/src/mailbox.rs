@@ -350,6 +350,12 @@ impl Mailbox {
         }
     }
 
+    /// Refuses every push from now on; what is queued stays for a drain, and an entry that is just being
+    /// pushed comes to be ready. Any thread.
+    pub fn seal(&self) {
+        self.ours.0.tail.fetch_or(CLOSED, Ordering::AcqRel);
+    }
+
     /// Refuses every push from now on and hands the heads of what is still queued to `skip`. Manager's
     /// thread: sleeps until a push that is just copying is done, so that a suspended one gets a processor
     /// whatever the priorities are. A pushing process may have died over its push, so for another process

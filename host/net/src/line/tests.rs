@@ -221,7 +221,7 @@ fn the_threads_that_callers_wait_for_are_real_time_ones_where_the_machine_allows
     let (left, right) = (lab.process("left"), lab.process("right"));
     left.lines.want(&right.place);
     left.meets();
-    let is_allowed = std::thread::spawn(|| trocar_rt::os::set_fifo(1).is_ok()).join().unwrap();
+    let is_allowed = std::thread::spawn(|| trocar_rt::os::set_fifo(30).is_ok()).join().unwrap();
     let real_time = if is_allowed { "1" } else { "0" };
     let expected = [
         ("trocar-line", real_time),

@@ -48,6 +48,24 @@ fn a_close_sleeps_while_a_push_is_suspended_in_its_copying_and_takes_its_entry_a
     assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
 }
 
+#[test]
+fn a_sealed_mailbox_refuses_pushes_and_gives_what_was_queued_also_by_a_push_under_way() {
+    let mail = Mailbox::new(4, 8, 0);
+    let head = EntryHead { reply: 7, ..EntryHead::default() };
+    assert_eq!(mail.push(head, &[1], Overflow::Reject), Push::Queued);
+    assert!(mail.claim_tail(1), "a push that was suspended here");
+    mail.seal();
+    mail.seal();
+    assert_eq!(mail.push(head, &[], Overflow::Reject), Push::Closed);
+    let mut seen = Vec::new();
+    mail.drain(|_, bytes| seen.push(bytes.to_vec()), |_| ());
+    assert!(!mail.is_empty(), "it waits for the push");
+    mail.fill(1, head, &[2], Overflow::Reject);
+    mail.drain(|_, bytes| seen.push(bytes.to_vec()), |_| ());
+    assert_eq!(seen, [[1], [2]]);
+    assert!(mail.is_empty());
+}
+
 /// Another process may never go on; if it does, it is told that its entry is queued.
 #[test]
 fn a_close_that_cannot_wait_for_another_process_hands_out_what_that_has_not_written_and_all_behind_it() {

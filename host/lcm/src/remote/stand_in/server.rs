@@ -158,6 +158,10 @@ impl StandIn for AbsentServer {
         if room == 0 {
             return false;
         }
+        if *leaving {
+            // A caller that was just inside the old binding is told so, or its command goes along.
+            self.calls.commands.seal();
+        }
         let send = |head: EntryHead, arg: &[u8]| {
             if head.reply != 0 {
                 // A caller that has given up wants nothing done any more.
@@ -173,9 +177,9 @@ impl StandIn for AbsentServer {
         };
         let skip = |head: EntryHead| replaced(&self.calls.replies, head.reply);
         self.calls.commands.drain_some(room as usize, send, skip);
-        if *leaving && !std::mem::replace(left, true) {
-            // A caller that was just inside the old binding is answered.
-            self.calls.commands.close(|head| _ = self.calls.replies.fail(head.reply, PEER_LOST));
+        // An entry that is just being pushed was told that it is queued: it goes the next time.
+        if *leaving && !*left && self.calls.commands.is_empty() {
+            *left = true;
             message(out, link, Kind::Left, |_| ());
         }
         false
