@@ -5,6 +5,7 @@
 //! shows what was done in pictures, and stops cleanly; a process of it that is killed comes back.
 
 mod counted;
+mod machines;
 mod terminal;
 mod timed;
 

@@ -84,10 +84,14 @@ export async function several_curves_share_a_plot_and_leave_it_again(world) {
   await drop(page, { ...READ, unit: 'N' });
   is(await inPlots(page), [[out, row], [read]], 'dropped beside');
   // A curve without points has nothing that could be kept of it.
-  await reaches('it has points where it was dropped', () => points(page), 3);
+  await reaches('it has points where it was dropped', () => points(page), 10);
+  const had = await kept(page);
   await page.locator(`[data-curve="${read}"] b`).dragTo(figure.locator('.box'));
   await eventually('it went over', async () => JSON.stringify(await inPlots(page)) === JSON.stringify([[out, row, read]]), () => inPlots(page));
-  holds((await points(page)).every((n) => n > 1), 'with what was kept of it');
+  // A curve is drawn anew with the next picture; until then it shows nothing.
+  let has = [];
+  await eventually('it is drawn there', async () => { has = await kept(page); return has.every((n) => n > 0); }, () => has);
+  holds(has.every((n, i) => n >= had[i]), `with what was kept of it: ${has}, before ${had}`);
   await page.getByRole('button', { name: `${row} into a plot of its own` }).click();
   is(await inPlots(page), [[out, read], [row]], 'one in a plot of its own');
   // By keys alone: the choice in Interfaces.

@@ -75,8 +75,8 @@ fn render(view: &DescribeView, colour: bool) -> String {
             if !c.wakes().is_empty() {
                 page.line(2, &c.wakes());
             }
-            if c.line.is_some() {
-                page.line(2, &c.of_line());
+            if let Some(line) = &c.line {
+                page.line(2, &line.figures());
             }
             for p in &c.proxies {
                 page.line(2, &half(p));

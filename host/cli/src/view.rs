@@ -161,6 +161,21 @@ pub(super) struct LineView {
     pub(super) clock_bound_ns: u64,
 }
 
+impl LineView {
+    /// Returns its figures as a sentence.
+    pub(super) fn figures(&self) -> String {
+        let ahead = if self.clock_offset_ns < 0 { "behind" } else { "ahead of" };
+        format!(
+            "line: there and back {}, sent {}, came {}; the server's clock is {} {ahead} the client's, ± {}",
+            super::units::time(self.round_trip_ns),
+            self.sent,
+            self.came,
+            super::units::time(self.clock_offset_ns.unsigned_abs()),
+            super::units::time(self.clock_bound_ns),
+        )
+    }
+}
+
 /// One half of a connection between two processes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct ProxyView {
@@ -277,23 +292,6 @@ impl ConnectionView {
         let said = [("client", &self.client_wake), ("server", &self.server_wake)];
         let said = said.iter().filter(|(_, wake)| !wake.is_empty());
         said.map(|(end, wake)| format!("wake of the {end}: {wake}")).collect::<Vec<_>>().join(", ")
-    }
-
-    /// Returns the figures of the line between its ends; empty where there is none.
-    pub(super) fn of_line(&self) -> String {
-        let Some(line) = &self.line else { return String::new() };
-        let ahead = match line.clock_offset_ns {
-            0.. => "ahead of",
-            _ => "behind",
-        };
-        format!(
-            "line: there and back {}, sent {}, came {}; the server's clock is {} {ahead} the client's, ± {}",
-            super::units::time(line.round_trip_ns),
-            line.sent,
-            line.came,
-            super::units::time(line.clock_offset_ns.unsigned_abs()),
-            super::units::time(line.clock_bound_ns),
-        )
     }
 
     /// Returns how its data travel, or that they do not.

@@ -16,7 +16,7 @@ struct Place {
     authority: Authority,
 }
 
-fn wish(name: &str, role: Role) -> Wish {
+pub(crate) fn wish(name: &str, role: Role) -> Wish {
     let processes = if role == Role::Host { vec![format!("{name}-*")] } else { Vec::new() };
     Wish {
         name: name.into(),

@@ -256,17 +256,28 @@ pub fn set_thread_name(name: &str) {
 
 /// Puts the calling thread under `SCHED_FIFO` at `priority` (1 lowest … 99).
 pub fn set_fifo(priority: u8) -> Result<(), OsError> {
+    schedule(libc::SCHED_FIFO, priority).map_err(|errno| {
+        let help = match errno {
+            libc::EINVAL => "use a priority from 1 to 99",
+            _ => "give the process CAP_SYS_NICE or raise `ulimit -r` to the priority (`trocar doctor` tells how)",
+        };
+        OsError { asked: format!("run at SCHED_FIFO priority {priority}"), errno, help }
+    })
+}
+
+/// Has the calling thread scheduled as threads without a real-time priority are.
+pub fn set_normal() -> Result<(), OsError> {
+    let refused = |errno| OsError { asked: "run without a real-time priority".into(), errno, help: "" };
+    schedule(libc::SCHED_OTHER, 0).map_err(refused)
+}
+
+fn schedule(policy: libc::c_int, priority: u8) -> Result<(), i32> {
     let param = libc::sched_param { sched_priority: i32::from(priority) };
     // SAFETY: the thread is the caller itself and the parameter outlives the call.
-    let rc = unsafe { libc::pthread_setschedparam(libc::pthread_self(), libc::SCHED_FIFO, &param) };
-    if rc == 0 {
-        return Ok(());
+    match unsafe { libc::pthread_setschedparam(libc::pthread_self(), policy, &param) } {
+        0 => Ok(()),
+        errno => Err(errno),
     }
-    let help = match rc {
-        libc::EINVAL => "use a priority from 1 to 99",
-        _ => "give the process CAP_SYS_NICE or raise `ulimit -r` to the priority (`trocar doctor` tells how)",
-    };
-    Err(OsError { asked: format!("run at SCHED_FIFO priority {priority}"), errno: rc, help })
 }
 
 /// Binds the calling thread to these CPUs (numbers as in /proc/cpuinfo).

@@ -5,12 +5,14 @@ use trocar::model::ExecutionModel;
 
 use super::bare;
 use super::site::Site;
-use crate::lab::{Lab, model};
-use crate::processes::{periodic, ways};
+use crate::lab::model;
+use crate::processes::{periodic, round};
 use crate::table::{Goal, Table, median};
 
 /// Rounds of each in turn; the median counts.
 const ROUNDS: usize = 7;
+/// Samples before those that count.
+const WARM: usize = 20;
 /// A way of samples, which the design allows so much more for being encrypted, ns.
 const ENCRYPTED_NS: f64 = 10_000.0;
 
@@ -59,7 +61,7 @@ pub(super) fn measure(table: &mut Table) {
         site.connect(&format!("near/sink/{}", load.port), &format!("far/sender/{}", load.port));
         lab.start_only("near/sink");
         for _ in 0..ROUNDS {
-            ours.push(round(lab, load.count));
+            ours.push(round(lab, WARM, load.count));
             bares.push(bare::one_way(load.bytes, load.count, load.period_ns));
         }
         lab.remove("far/sender");
@@ -78,14 +80,4 @@ pub(super) fn measure(table: &mut Table) {
             table.row(&format!("{name}, p99"), p99, Goal::Times(1.4), "its own p50", p50);
         }
     }
-}
-
-fn round(lab: &Lab, count: usize) -> (f64, f64) {
-    lab.start_only("far/sender");
-    // The first samples still met new memory.
-    lab.wait("near/sink", "got", 20.0);
-    lab.invoke("near/sink/time/clear", Value::Null);
-    lab.wait_until("near/sink", "got", count as f64);
-    lab.stop("far/sender");
-    ways(lab, "near/sink", count)
 }

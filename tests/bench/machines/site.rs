@@ -3,8 +3,8 @@
 
 use serde_json::Value;
 use trocar::model::{ConnectOptions, Queue};
-use trocar_net::{Authority, Role, Wish};
-use trocar_tests::HostProcess;
+use trocar_net::Authority;
+use trocar_tests::{HostProcess, issue_host};
 
 use crate::lab::Lab;
 
@@ -20,14 +20,7 @@ impl Site {
         let mut authority = Authority::init(&lab.world().state().join("authority")).expect("an authority");
         let mut process = |name: &str| {
             let file = lab.world().state().join(format!("{name}.pem"));
-            let wish = Wish {
-                name: name.into(),
-                role: Role::Host,
-                processes: vec![name.into()],
-                addresses: Vec::new(),
-                days: 1,
-            };
-            authority.issue(&wish, &file).expect("an identity");
+            issue_host(&mut authority, name, &[name], &file);
             let (file, gcm) = (file.display().to_string(), lab.address());
             let args = ["--gcm", &gcm, "--identity", &file, "--listen-lines", "127.0.0.1:0"];
             let args = [&args, more].concat();

@@ -14,7 +14,7 @@ mod site;
 mod streams;
 
 use crate::table::Table;
-pub(crate) use site::{periodic, ways};
+pub(crate) use site::{periodic, round, ways};
 
 pub(crate) fn measure(subject: &str, table: &mut Table) {
     match subject {

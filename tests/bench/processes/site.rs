@@ -36,3 +36,15 @@ pub(crate) fn ways(lab: &Lab, sink: &str, least: usize) -> (f64, f64) {
     assert!(count >= least as f64, "{sink} took {count} samples, {least} at least were sent to it");
     (as_number(&figures["p50"]), as_number(&figures["p99"]))
 }
+
+/// p50 and p99 of the ways of so many samples from `far/sender`, which is started for them, to `near/sink`,
+/// ns.
+pub(crate) fn round(lab: &Lab, warm: usize, count: usize) -> (f64, f64) {
+    lab.start_only("far/sender");
+    // The first samples still met new memory.
+    lab.wait("near/sink", "got", warm as f64);
+    lab.invoke("near/sink/time/clear", Value::Null);
+    lab.wait_until("near/sink", "got", count as f64);
+    lab.stop("far/sender");
+    ways(lab, "near/sink", count)
+}

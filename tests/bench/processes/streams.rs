@@ -4,16 +4,18 @@
 use serde_json::{Value, json};
 use trocar::model::{ConnectOptions, Execution, ExecutionModel};
 
-use super::site::{Site, periodic, ways};
+use super::site::{Site, periodic, round};
 use super::{bare, peers};
 use crate::baseline;
-use crate::lab::{Lab, model};
+use crate::lab::model;
 use crate::table::{Goal, Table, median};
 
 /// Between two samples.
 const PERIOD_NS: u64 = 250_000;
 /// Samples per round, and rounds of each way in turn; the median counts.
 const COUNT: usize = 2000;
+/// Samples before them.
+const WARM: usize = 200;
 const ROUNDS: usize = 7;
 
 /// What is sent: its name, its size in B, the sender's port and settings.
@@ -40,7 +42,7 @@ pub(super) fn measure(table: &mut Table) {
         lab.connect(&format!("near/sink/{port}"), &format!("far/sender/{port}"));
         lab.start_only("near/sink");
         for _ in 0..ROUNDS {
-            let (p50, p99) = round(lab);
+            let (p50, p99) = round(lab, WARM, COUNT);
             ours.push(p50);
             let (bare_p50, bare_p99) = bare::one_way(bytes, COUNT, PERIOD_NS);
             bares.push(bare_p50);
@@ -77,16 +79,6 @@ pub(super) fn measure(table: &mut Table) {
         &format!("{} frames and samples", moved.1),
     );
     push(table, &site);
-}
-
-fn round(lab: &Lab) -> (f64, f64) {
-    lab.start_only("far/sender");
-    // What came first still met new memory.
-    lab.wait("near/sink", "got", 200.0);
-    lab.invoke("near/sink/time/clear", Value::Null);
-    lab.wait_until("near/sink", "got", COUNT as f64);
-    lab.stop("far/sender");
-    ways(lab, "near/sink", COUNT)
 }
 
 /// Writes per run and runs.

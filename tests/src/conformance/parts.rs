@@ -13,11 +13,11 @@ use trocar::gcm::Registration;
 use trocar::host::{Machines, PortRules, StateChoice};
 use trocar::lcm::Lcm;
 use trocar::model::{ComponentId, ConnectOptions, Execution, Name, PortId, Request, Target};
-use trocar_net::{Authority, Role, Wish};
+use trocar_net::Authority;
 
 use super::world::runtime;
 use super::{Lab, Languages};
-use crate::{HostProcess, World, eventually};
+use crate::{HostProcess, World, eventually, issue_host};
 
 /// The process of clients.
 const HOST: &str = "host";
@@ -33,17 +33,10 @@ pub(super) fn machines(carrier: &str) -> Machines {
     static IDENTITY: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
     let (_, identity) = IDENTITY.get_or_init(|| {
         let dir = TempDir::new().unwrap_or_else(|e| panic!("no directory: {e}"));
-        let wish = Wish {
-            name: "lab".into(),
-            role: Role::Host,
-            processes: vec![HOST.into(), OTHER.into()],
-            addresses: Vec::new(),
-            days: 1,
-        };
         let identity = dir.path().join("lab.pem");
         let authority = Authority::init(&dir.path().join("authority"));
-        let issued = authority.and_then(|mut authority| authority.issue(&wish, &identity));
-        issued.unwrap_or_else(|e| panic!("no identity: {e}"));
+        let mut authority = authority.unwrap_or_else(|e| panic!("no authority: {e}"));
+        issue_host(&mut authority, "lab", &[HOST, OTHER], &identity);
         (dir, identity)
     });
     Machines { identity: Some(identity.clone()), lines: Some("127.0.0.1:0".into()), ..Machines::default() }

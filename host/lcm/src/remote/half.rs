@@ -271,12 +271,7 @@ impl Half {
             Wires::Server(wires) => wires.end(&self.connection, &self.here),
         };
         if let Some(stand_in) = &linked.stand_in {
-            let taken = last.passed;
             stand_in.correct(&mut last);
-            if offered.is_some() {
-                // Samples that waited are dropped already.
-                last.sent = last.sent.min(taken);
-            }
             if linked.session.is_lost() {
                 last.unexecuted += stand_in.lost();
             }

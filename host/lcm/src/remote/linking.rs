@@ -321,9 +321,14 @@ impl Linking {
         // Only the process of the other end, in the run that is meant, may send messages about a connection.
         let half = locked(&self.halves).get(&connection).filter(|half| half.is_with(&**session)).cloned();
         let Some(half) = half else {
-            if let Words::Open { .. } = words {
-                let why = format!("connection {connection} is not known there yet");
-                let _ = session.say(&Words::Declined { connection, why, later: true }, &[], &[]);
+            match words {
+                Words::Open { .. } => {
+                    let why = format!("connection {connection} is not known there yet");
+                    let _ = session.say(&Words::Declined { connection, why, later: true }, &[], &[]);
+                }
+                // It was removed meanwhile.
+                Words::Opened { epoch, .. } => opening::forgo(session, Link { connection, epoch }, false),
+                _ => {}
             }
             return;
         };

@@ -11,10 +11,12 @@ mod clock;
 mod door;
 mod greeting;
 mod guests;
+mod lane;
 mod lines;
 mod run;
 #[cfg(test)]
 mod tests;
+mod urgency;
 mod wire;
 
 use std::collections::VecDeque;
@@ -28,6 +30,7 @@ use trocar_rt::wake::Waker;
 use crate::holder::Holder;
 pub use clock::Clock;
 pub use greeting::Who;
+pub use lane::Lane;
 pub use lines::{Ends, Lines, Place};
 use wire::Wire;
 pub use wire::{MOST_BYTES, Outbox};
@@ -48,15 +51,6 @@ pub struct Line {
     most_rate: Option<u64>,
     lost: AtomicBool,
     why: Mutex<Option<String>>,
-}
-
-/// One of the two ways of a line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Lane {
-    /// Short messages that are awaited: words, commands, answers, events, small samples.
-    Prompt,
-    /// Large samples. They hold up each other, and nothing else.
-    Bulk,
 }
 
 /// A lane, as it is made.

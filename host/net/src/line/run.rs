@@ -9,77 +9,18 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use trocar_rt::house;
-use trocar_rt::os::{now_ns, set_fifo};
+use trocar_rt::os::now_ns;
 
 use super::greeting::{BEAT, beat_in, put_beat};
-use super::wire::{Came, Inbox, MOST_BYTES, Outbox, Rank, is_nothing};
+use super::urgency::Urgency;
+use super::wire::{Came, Inbox, MOST_BYTES, Outbox, is_nothing};
 use super::{Lane, Line, Traffic};
 use crate::revoked::Revoked;
 
-/// Real-time priority of the threads of the prompt lane: callers wait for them, and a lane that is silent for
-/// long is lost. Components have higher ones where they have deadlines.
-const PRIORITY: u8 = 30;
 /// Time between two looks at the list of revoked certificates, ns.
 const JUDGED_NS: u64 = 50_000_000;
-/// Bytes of long samples that may wait in the kernel.
-const MOST_UNSENT: u64 = 256 << 10;
 /// Bytes of one read.
 const ROOM: usize = 128 << 10;
-
-impl Lane {
-    /// Distance of two beats, ns.
-    fn beat_ns(self) -> u64 {
-        match self {
-            Lane::Prompt => 10_000_000,
-            Lane::Bulk => 100_000_000,
-        }
-    }
-
-    /// Silence after which the line is lost, ns. Long samples go last: on a full link they may come to a
-    /// halt, and that the other end lives is known by the prompt lane.
-    fn silent_ns(self) -> u64 {
-        match self {
-            Lane::Prompt => 100_000_000,
-            Lane::Bulk => 5_000_000_000,
-        }
-    }
-
-    /// Time in which the other end takes hardly a byte, after which the line is lost.
-    fn stalled(self) -> Duration {
-        match self {
-            Lane::Prompt => Duration::from_secs(1),
-            Lane::Bulk => Duration::from_secs(5),
-        }
-    }
-
-    /// Rank by RFC 4594: the prompt lane as telephony (expedited forwarding), the bulk lane as anything.
-    fn rank(self, most_rate: Option<u64>) -> Rank {
-        match self {
-            Lane::Prompt => Rank { priority: 6, class: 46 << 2, most_unsent: 128 << 10, most_rate: None },
-            Lane::Bulk => {
-                // A quarter of a second's worth: a slow lane goes on in small steps.
-                let most_unsent = most_rate.map_or(MOST_UNSENT, |rate| (rate / 4).min(MOST_UNSENT));
-                Rank { priority: 2, class: 0, most_unsent: most_unsent as u32, most_rate }
-            }
-        }
-    }
-
-    /// Makes the calling thread a real-time one, where the lane needs that and the machine allows it. Its
-    /// children would be, too.
-    fn prefer(self) {
-        if self == Lane::Prompt {
-            // Without the right to it the thread runs as others do.
-            let _ = set_fifo(PRIORITY);
-        }
-    }
-
-    fn threads(self) -> [&'static str; 2] {
-        match self {
-            Lane::Prompt => ["trocar-line", "trocar-line-out"],
-            Lane::Bulk => ["trocar-bulk", "trocar-bulk-out"],
-        }
-    }
-}
 
 /// Runs a line until it is lost.
 pub(super) fn run(
@@ -113,7 +54,7 @@ fn receive(
     mut inbox: Inbox,
     revoked: Option<&Revoked>,
 ) -> String {
-    lane.prefer();
+    let mut urgency = Urgency::take(lane);
     let (wire, beat_ns) = (&line.track(lane).wire, lane.beat_ns());
     let mut room = vec![0; ROOM];
     wire.rank(lane.rank(line.most_rate));
@@ -130,6 +71,7 @@ fn receive(
             return "ended from here".into();
         }
         let now = now_ns();
+        urgency.look(now);
         if now >= judged_ns + JUDGED_NS {
             judged_ns = now;
             if revoked.is_some_and(|list| is_revoked(list, line)) {
@@ -176,13 +118,14 @@ fn is_revoked(list: &Revoked, line: &Line) -> bool {
 }
 
 fn send(line: &Line, traffic: &dyn Traffic, lane: Lane) {
-    lane.prefer();
+    let mut urgency = Urgency::take(lane);
     let track = line.track(lane);
     let mut out = Outbox::default();
     let mut next_ns = now_ns();
     let mut more = false;
     while !line.lost.load(Ordering::Acquire) {
         let now = now_ns();
+        urgency.look(now);
         if now >= next_ns {
             next_ns = now + lane.beat_ns();
             put_beat(&mut out, line.clock.beat(now));

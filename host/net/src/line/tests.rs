@@ -10,6 +10,7 @@ use tempfile::TempDir;
 use super::greeting::Met;
 use super::wire::Inbox;
 use super::*;
+use crate::tests::wish;
 use crate::{Authority, Identity, Revoked, Role, Wish};
 
 /// For what comes in any case: a watchdog, not a claim.
@@ -127,14 +128,8 @@ impl Lab {
     }
 
     fn identity(&mut self, name: &str) -> Arc<Identity> {
-        let wish = Wish {
-            name: name.into(),
-            role: Role::Host,
-            processes: vec![name.into()],
-            addresses: Vec::new(),
-            days: 1,
-        };
         let out = self.dir.path().join(name);
+        let wish = Wish { processes: vec![name.into()], ..wish(name, Role::Host) };
         self.authority.issue(&wish, &out).unwrap();
         Arc::new(Identity::read(&out).unwrap())
     }
@@ -244,6 +239,14 @@ fn the_threads_that_callers_wait_for_are_real_time_ones_where_the_machine_allows
     }
 }
 
+/// A connection with a process, before anything was said on it.
+fn dialled(to: &Process, identity: Arc<Identity>) -> (rustls::ClientConnection, TcpStream) {
+    let client = crate::Client::of_processes(identity, None, &["trocar-line"]).unwrap();
+    let name = rustls::pki_types::ServerName::try_from("trocar").unwrap();
+    let tls = rustls::ClientConnection::new(client.config(), name).unwrap();
+    (tls, TcpStream::connect(&to.place.address).unwrap())
+}
+
 #[test]
 fn a_second_connection_that_belongs_to_no_line_of_its_process_is_refused() {
     let mut lab = Lab::new();
@@ -253,11 +256,8 @@ fn a_second_connection_that_belongs_to_no_line_of_its_process_is_refused() {
     // The line that there is, and it has both; and one that there is not.
     let (identity, number) = (lab.identity("third"), right.meets().number());
     for line in [number, 77] {
-        let client = crate::Client::of_processes(identity.clone(), None, &["trocar-line"]).unwrap();
-        let name = rustls::pki_types::ServerName::try_from("trocar").unwrap();
-        let tls = rustls::ClientConnection::new(client.config(), name).unwrap();
+        let (tls, stream) = dialled(&right, identity.clone());
         let until = std::time::Instant::now() + PATIENCE;
-        let stream = TcpStream::connect(&right.place.address).unwrap();
         let (mut wire, holder, inbox) = Wire::greeted(stream, tls.into(), until).unwrap();
         let own = Who { process: "third".into(), instance: "third-1".into() };
         let met = Met { who: own.clone(), line, clock: Clock::default(), inbox: Inbox::default() };
@@ -361,10 +361,7 @@ fn a_process_that_is_not_there_is_called_until_it_is() {
 fn whoever_takes_leave_and_goes_on_is_read_no_more() {
     let mut lab = Lab::new();
     let right = lab.process("right");
-    let client = crate::Client::of_processes(lab.identity("left"), None, &["trocar-line"]).unwrap();
-    let name = rustls::pki_types::ServerName::try_from("trocar").unwrap();
-    let mut tls = rustls::ClientConnection::new(client.config(), name).unwrap();
-    let mut stream = TcpStream::connect(&right.place.address).unwrap();
+    let (mut tls, mut stream) = dialled(&right, lab.identity("left"));
     while tls.is_handshaking() {
         tls.complete_io(&mut stream).unwrap();
     }

@@ -136,13 +136,9 @@ impl Linking {
         };
         if let Err(why) = linked {
             // It may be linked, and its other end may not know.
-            self.unlink(half, Some(session), &why, Loss::Cut, false);
+            let was_linked = self.unlink(half, Some(session), &why, Loss::Cut, false);
             half.fail(why, true);
-            let connection = half.number();
-            let _ = session.say(&Words::Close { connection, epoch }, &[], &[]);
-            if let Some(stand_ins) = session.stand_ins() {
-                let _ = stand_ins.forgo(Link { connection, epoch });
-            }
+            forgo(session, Link { connection: half.number(), epoch }, was_linked);
         }
     }
 
@@ -168,6 +164,16 @@ impl Linking {
                 self.unlink(half, Some(session), &why, Loss::Cut, true);
             }
         }
+    }
+}
+
+/// Tells the server's end of a link that nobody comes to it. One that was linked says by itself that it has
+/// left, behind its commands.
+pub(super) fn forgo(session: &Arc<dyn Session>, link: Link, was_linked: bool) {
+    let Link { connection, epoch } = link;
+    let _ = session.say(&Words::Close { connection, epoch }, &[], &[]);
+    if let Some(stand_ins) = session.stand_ins().filter(|_| !was_linked) {
+        let _ = stand_ins.forgo(link);
     }
 }
 

@@ -60,7 +60,7 @@ pub(super) trait StandIn: Send + Sync {
         0
     }
 
-    /// Takes no more of what the end that is here has put, and still puts.
+    /// Takes no more of what the end that is here has put, and still puts: its figures are final.
     fn halt(&self) {}
 
     /// The connection was cut.
@@ -243,8 +243,8 @@ impl StandIns {
         };
         let Some((of, stand_in)) = found else { return Ok(()) };
         stand_in.came(kind, content, self.line.clock())?;
-        if of != lane {
-            // Whoever sends there may have waited for it.
+        if kind == Kind::Ready {
+            // There may be something to send already.
             self.line.bell(of).notify();
         }
         Ok(())
@@ -273,7 +273,7 @@ impl StandIns {
             at += 1;
             more |= stand_in.fill(link, out);
         }
-        // They give back memory: that takes its time, and nobody waits for it.
+        // Dropped outside the lock: they give back memory, which takes its time.
         let over: Vec<_> =
             all.lock().extract_if(.., |entry| entry.leaving && entry.stand_in.is_over()).collect();
         drop(over);

@@ -5,7 +5,6 @@
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use parking_lot::Mutex;
 use trocar_lcm_api::LinkDetail;
@@ -22,20 +21,29 @@ use super::{Kind, Link, StandIn, Take};
 const AT_ONCE: usize = 256 << 10;
 
 pub(super) struct AbsentReader {
-    /// The other end is there.
-    ready: AtomicBool,
     frames: bool,
     pools: Arc<RemotePools>,
     views: Arc<RemoteViews>,
     end: Mutex<End>,
-    /// Frames that no message holds.
-    too_long: AtomicU64,
 }
 
 struct End {
     stream: Stream<StreamReader>,
+    takes: Takes,
     /// Number of pools that are known here.
     known: usize,
+    /// Frames that no message holds.
+    too_long: u64,
+}
+
+/// Whether samples are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Takes {
+    /// Not before the other end is there.
+    NotYet,
+    Samples,
+    /// The connection is cut: never again.
+    Nothing,
 }
 
 impl AbsentReader {
@@ -47,15 +55,8 @@ impl AbsentReader {
     ) -> Result<AbsentReader, String> {
         let stream =
             Stream::<StreamReader>::open(memory, shape, agreed, &views).map_err(|e| e.to_string())?;
-        let end = Mutex::new(End { stream, known: 0 });
-        Ok(AbsentReader {
-            ready: AtomicBool::new(false),
-            frames: shape.payload == Payload::Frame,
-            pools,
-            views,
-            end,
-            too_long: AtomicU64::new(0),
-        })
+        let end = Mutex::new(End { stream, takes: Takes::NotYet, known: 0, too_long: 0 });
+        Ok(AbsentReader { frames: shape.payload == Payload::Frame, pools, views, end })
     }
 
     /// Maps the pools whose frames may come.
@@ -76,7 +77,12 @@ impl AbsentReader {
 impl StandIn for AbsentReader {
     fn came(&self, kind: Kind, _: Take<'_>, _: &Clock) -> Result<(), String> {
         match kind {
-            Kind::Ready => self.ready.store(true, Ordering::Release),
+            Kind::Ready => {
+                let takes = &mut self.end.lock().takes;
+                if *takes == Takes::NotYet {
+                    *takes = Takes::Samples;
+                }
+            }
             // Nobody comes to take its samples.
             Kind::Left => {}
             other => return Err(format!("{other:?} of a reader")),
@@ -86,16 +92,16 @@ impl StandIn for AbsentReader {
 
     fn fill(&self, link: Link, out: &mut Outbox) -> bool {
         let mut end = self.end.lock();
-        if !self.ready.load(Ordering::Acquire) {
+        let End { stream, takes, known, too_long } = &mut *end;
+        if *takes != Takes::Samples {
             return false;
         }
-        let End { stream, known } = &mut *end;
         self.know_pools(known);
         let until = out.len() + AT_ONCE;
         while out.len() < until {
             let Some(sample) = stream.end.next() else { return false };
             if sample.data.len() + sample.bytes.len() > MOST_FRAME {
-                self.too_long.fetch_add(1, Ordering::Relaxed);
+                *too_long += 1;
                 stream.end.release();
                 continue;
             }
@@ -117,19 +123,18 @@ impl StandIn for AbsentReader {
     }
 
     fn halt(&self) {
-        let _end = self.end.lock();
-        self.ready.store(false, Ordering::Release);
+        self.end.lock().takes = Takes::Nothing;
     }
 
     fn correct(&self, detail: &mut LinkDetail) {
         // The reader's own end tells of the samples it has seen.
         (detail.passed, detail.bytes) = (0, 0);
-        let too_long = self.too_long.load(Ordering::Relaxed);
+        let End { stream, takes, too_long, .. } = &*self.end.lock();
         detail.dropped += too_long;
-        let end = self.end.lock();
-        let stats = end.stream.end.stats();
-        // Samples that still wait are lost with the writer.
-        let waits = if end.stream.end.has_writer() { stats.pushed.saturating_sub(stats.dropped) } else { 0 };
-        detail.sent = stats.taken.max(waits).saturating_sub(too_long);
+        let stats = stream.end.stats();
+        // Samples that still wait are lost with the writer, or where nobody takes them any more.
+        let is_open = *takes != Takes::Nothing && stream.end.has_writer();
+        let waits = if is_open { stats.pushed.saturating_sub(stats.dropped) } else { 0 };
+        detail.sent = stats.taken.max(waits).saturating_sub(*too_long);
     }
 }
