@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::execution::ExecutionArgs;
 use super::failure::{Done, Failure};
-use super::mutation::{MutationArgs, show};
+use super::mutation::{MutationArgs, show_after};
 use super::session::Session;
 use super::typed::json_object;
 
@@ -35,5 +35,9 @@ pub(super) async fn run(args: ConfigureArgs, session: &Session) -> Done {
         ));
     }
     let outcome = session.configure(&args).await?;
-    show(session, &outcome, args.mutation.dry_run, &format!("configured {}", args.path))
+    let done = match outcome.plan.as_slice() {
+        [] => format!("{} has these settings already", args.path),
+        steps => steps.join("\n"),
+    };
+    show_after(session, &outcome, args.mutation.dry_run, &done)
 }

@@ -6,7 +6,7 @@
 use clap::Args;
 
 use super::failure::{Done, Failure};
-use super::mutation::{MutationArgs, show};
+use super::mutation::{MutationArgs, show_after};
 use super::session::Session;
 use super::units;
 use super::view::ConnectionView;
@@ -78,7 +78,7 @@ pub(super) async fn connect(args: ConnectArgs, session: &Session) -> Done {
     let outcome = session.connect(&args).await?;
     let id = outcome.connection;
     let done = format!("connected {} → {} (id {id})", args.server, args.client);
-    show(session, &outcome, args.mutation.dry_run, &done)
+    show_after(session, &outcome, args.mutation.dry_run, &done)
 }
 
 pub(super) async fn disconnect(args: DisconnectArgs, session: &Session) -> Done {
@@ -88,7 +88,7 @@ pub(super) async fn disconnect(args: DisconnectArgs, session: &Session) -> Done 
         Cut::Id(id) => format!("disconnected {id}"),
         Cut::Pair { client, server } => format!("disconnected {server} → {client}"),
     };
-    show(session, &outcome, args.mutation.dry_run, &done)
+    show_after(session, &outcome, args.mutation.dry_run, &done)
 }
 
 async fn cut(args: &DisconnectArgs, session: &Session) -> Result<Cut, Failure> {

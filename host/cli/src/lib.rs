@@ -310,11 +310,30 @@ fn refused_by_clap(e: &clap::Error) -> ExitCode {
     let all = asked == "trocar stop" && e.kind() == ErrorKind::MissingRequiredArgument;
     let all = all.then(|| "everything: `trocar stop --all`".to_owned());
     let more = format!("see `{asked} --help`");
+    let tip = suggested(e).or_else(|| line("tip: "));
     // Clap's advice for a flag that is meant as a value is of no use here.
-    let tip = line("tip: ").filter(|tip| !tip.starts_with("to pass "));
+    let tip = tip.filter(|tip| !tip.starts_with("to pass "));
     let help: Vec<String> = [tip, all, usage, Some(more)].into_iter().flatten().collect();
     Failure::usage(middle_cut(sentence.trim_start_matches("error: ")), help.join("; ")).print(json);
     ExitCode::from(Exit::Usage as u8)
+}
+
+/// The subcommands that are like the one that was typed, the nearest first: clap has it last.
+fn suggested(e: &clap::Error) -> Option<String> {
+    use clap::error::{ContextKind, ContextValue};
+    let Some(ContextValue::Strings(names)) = e.get(ContextKind::SuggestedSubcommand) else { return None };
+    let Some(ContextValue::String(typed)) = e.get(ContextKind::InvalidSubcommand) else { return None };
+    let mut left: Vec<&str> = names.iter().rev().map(String::as_str).collect();
+    // A slip of the fingers comes before letters in common.
+    if let Some(slip) = trocar_model::nearest(typed, left.iter().copied()) {
+        left.retain(|name| *name != slip);
+        left.insert(0, slip);
+    }
+    match left.as_slice() {
+        [] => None,
+        [one] => Some(format!("a similar subcommand exists: '{one}'")),
+        several => Some(format!("similar subcommands exist: '{}'", several.join("', '"))),
+    }
 }
 
 /// The subcommand that was typed, as far as there is one.
@@ -368,7 +387,7 @@ pub fn command() -> clap::Command {
 mod tests {
     use clap::FromArgMatches;
 
-    use super::{Cli, asked_for, command, middle_cut};
+    use super::{Cli, asked_for, command, middle_cut, suggested};
 
     #[test]
     fn a_usage_error_points_to_the_subcommand() {
@@ -376,6 +395,19 @@ mod tests {
         assert_eq!(named("--json plugin inspect --nonsense"), "trocar plugin inspect");
         assert_eq!(named("create host/a --rate-hz"), "trocar create");
         assert_eq!(named("lss"), "trocar");
+    }
+
+    #[test]
+    fn the_nearest_subcommand_is_suggested_first() {
+        let tip = |line: &str| {
+            let error = command().try_get_matches_from(line.split(' ')).expect_err("no subcommand");
+            suggested(&error)
+        };
+        let similar = |names: &str| Some(format!("similar subcommands exist: {names}"));
+        assert_eq!(tip("trocar strat"), similar("'start', 'restart', 'create'"));
+        assert_eq!(tip("trocar plugin lss"), Some("a similar subcommand exists: 'ls'".to_owned()));
+        assert_eq!(tip("trocar xyzzy"), None);
+        assert_eq!(tip("trocar ls --nonsense"), None);
     }
 
     #[test]

@@ -57,6 +57,16 @@ pub(super) struct Left {
 
 /// Prints an outcome; `done` puts the request into words, for an outcome that lists no component.
 pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &str) -> Done {
+    let is_said = outcome.components.is_empty() && outcome.skipped.is_empty();
+    print(session, outcome, dry_run, is_said.then_some(done))
+}
+
+/// Prints an outcome after `done`: what its components do tells nothing of what was changed.
+pub(super) fn show_after(session: &Session, outcome: &Outcome, dry_run: bool, done: &str) -> Done {
+    print(session, outcome, dry_run, Some(done))
+}
+
+fn print(session: &Session, outcome: &Outcome, dry_run: bool, done: Option<&str>) -> Done {
     let exit = if outcome.failed.is_empty() { Exit::Ok } else { Exit::Partial };
     if session.json() {
         session.print_json(outcome)?;
@@ -69,6 +79,7 @@ pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &s
         out::line(if outcome.plan.is_empty() { "nothing to do" } else { "(dry run: nothing was changed)" });
         return Ok(exit);
     }
+    done.into_iter().for_each(out::say);
     for c in &outcome.components {
         let extra = match (c.health.as_str(), c.fault.as_str()) {
             ("OK" | "", "") => String::new(),
@@ -76,9 +87,6 @@ pub(super) fn show(session: &Session, outcome: &Outcome, dry_run: bool, done: &s
             (_, fault) => format!("  {fault}"),
         };
         out::say(&format!("{}  {}{extra}", c.path, c.state));
-    }
-    if outcome.components.is_empty() && outcome.skipped.is_empty() {
-        out::line(done);
     }
     for left in &outcome.skipped {
         out::say(&format!("{}  left alone: {}", left.path, left.why));

@@ -107,8 +107,9 @@ fn show(plugins: &[PluginView]) {
         }
         if !p.refused.is_empty() {
             out::line(&format!(
-                "{}: {} [{}]",
+                "{} by {}: {} [{}]",
                 style::paint("refused", style::BAD, colour),
+                out::harmless(&p.process),
                 out::harmless(&p.refused),
                 p.refused_reason
             ));

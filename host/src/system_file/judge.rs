@@ -7,7 +7,7 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use trocar_model::{
-    ComponentId, Execution, Plan, Planning, PortId, Refusal, Request, SystemGraph, Target, host_of,
+    ComponentId, Execution, Plan, Planning, PortId, Refusal, Request, SystemGraph, Target, host_of, nearest,
 };
 
 use super::cursor::MOST;
@@ -71,7 +71,7 @@ struct Judging<'a> {
 impl Judging<'_> {
     /// A component whose settings are refused is there without them, so that its connections are judged.
     fn create(&mut self, request: Request) {
-        let Request::Create { id, class, mut config, mut execution } = request else { return };
+        let Request::Create { id, mut class, mut config, mut execution } = request else { return };
         let (doubts, written) = (&self.draft.doubts, self.draft.file.written(&id));
         let host = host_of(&execution);
         if doubts.components.contains(written)
@@ -93,7 +93,16 @@ impl Judging<'_> {
             };
             let Err(refusal) = self.planning.add(&request) else { return };
             self.incomplete.insert(id.clone());
-            let without = match &refusal {
+            let is_known = !matches!(refusal, Refusal::ClassNotFound { .. })
+                || !doubts.processes.contains(&written.process);
+            let again = match &refusal {
+                // Judged on as what was meant, so that a slip of the fingers hides no other mistake.
+                Refusal::ClassNotFound { known, elsewhere, ambiguous, .. }
+                    if is_known && elsewhere.is_empty() && ambiguous.is_empty() =>
+                {
+                    let meant = nearest(&class, known.iter().map(String::as_str)).map(str::to_owned);
+                    meant.is_some_and(|meant| std::mem::replace(&mut class, meant) != class)
+                }
                 Refusal::ConfigInvalid { .. } => config.take().is_some(),
                 Refusal::ArgumentInvalid { .. } if execution != Execution::default() => {
                     execution = Execution::default();
@@ -101,12 +110,10 @@ impl Judging<'_> {
                 }
                 _ => false,
             };
-            let is_known = !matches!(refusal, Refusal::ClassNotFound { .. })
-                || !doubts.processes.contains(&written.process);
             if is_known {
                 self.refused(request, refusal);
             }
-            if !without {
+            if !again {
                 self.absent.insert(id);
                 return;
             }

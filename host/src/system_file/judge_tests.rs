@@ -72,6 +72,21 @@ fn a_file_of_many_components_is_judged_at_once_and_a_hundred_of_their_mistakes_a
 }
 
 #[test]
+fn a_misspelt_class_hides_no_other_mistake_of_its_component() {
+    let text = WIRED
+        .replacen(r#"{ "class": "arm" }"#, r#"{ "class": "amr", "execution": { "rate_hz": 100000 } }"#, 1)
+        .replacen("host/a/value", "host/a/vlaue", 1);
+    let judged = draft(&text).judge(&processes(&["host"]));
+    let pointers: Vec<&str> = judged.problems.iter().map(|p| p.pointer.as_str()).collect();
+    assert_eq!(
+        pointers,
+        ["/components/host~1a/class", "/components/host~1a/execution/rate_hz", "/connections/0/server"],
+        "{:#?}",
+        judged.problems
+    );
+}
+
+#[test]
 fn every_refusal_is_listed_with_its_place_and_none_for_what_hangs_on_another() {
     let wrong = [
         (r#""host/a": { "class": "arm" }"#, r#""host/a": { "class": "leg" }"#),

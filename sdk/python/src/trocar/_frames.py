@@ -17,6 +17,7 @@ import numpy as np
 from ._chunks import Damaged, shown
 from ._errors import TrocarError, invalid
 from ._png import coloured, png, qoi
+from ._words import counted
 
 # Items, colours and what is done for PNG, by the names that the recorder takes from Foxglove.
 _PIXELS = {
@@ -254,4 +255,4 @@ class Frames:
             yield RecordedFrame(self._topic, *(m if held is not None else self._topic._taken(m) or (m, None)))
 
     def __repr__(self) -> str:
-        return f"<{len(self)} frames of {self._topic.name}>"
+        return f"<{counted(len(self), 'frame')} of {self._topic.name}>"

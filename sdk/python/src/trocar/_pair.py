@@ -12,6 +12,7 @@ import numpy as np
 
 from ._errors import invalid
 from ._png import png
+from ._words import counted
 
 
 class StereoFrame:
@@ -83,7 +84,7 @@ class Pairs:
         return (self._with(left) for left in self._left)
 
     def __repr__(self) -> str:
-        return f"<{len(self)} pairs>"
+        return f"<{counted(len(self), 'pair')}>"
 
 
 class Pair:
@@ -111,4 +112,4 @@ class Pair:
         return len(self.left)
 
     def __repr__(self) -> str:
-        return f"<{self.name}: {len(self.left)} left and {len(self.right)} right images of {self.left.schema}>"
+        return f"<{self.name}: {len(self.left)} left and {counted(len(self.right), 'right image')} of {self.left.schema}>"

@@ -20,6 +20,7 @@ import numpy as np
 from . import _values
 from ._errors import TrocarError, invalid
 from ._paths import path_of
+from ._words import counted
 
 _STEP = re.compile(r"\.([A-Za-z_][A-Za-z0-9_]*)|\[(-?\d+)\]")
 _MOST = 200_000
@@ -307,7 +308,7 @@ class Plot:
         count = sum(len(s.points) for s in self.signals)
         missed = sum(s.missed for s in self.signals)
         lost = f", {missed} missed: {self.signals[0].why}" if missed else ""
-        return f"<plot of {shown} over {self.seconds:g} s at {self.rate_hz:g} Hz: {count} samples{lost}>"
+        return f"<plot of {shown} over {self.seconds:g} s at {self.rate_hz:g} Hz: {counted(count, 'sample')}{lost}>"
 
 
 def _kernel_loop() -> asyncio.AbstractEventLoop | None:

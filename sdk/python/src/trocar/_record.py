@@ -15,6 +15,7 @@ from . import _proto, _values
 from ._errors import TrocarError, invalid
 from ._hold import Hold
 from ._paths import globbed, nearest, path_of
+from ._words import counted
 
 _CLASS = "recorder/recorder"
 _MOST = 1024
@@ -136,10 +137,10 @@ class LiveRecording:
                 self._running = False
                 self.path = str(self.result["path"])
                 if self.result["lost"]:
-                    self._session._say(f"{self.path}: {int(self.result['lost'])} samples were lost; the file tells which")
+                    self._session._say(f"{self.path}: lost {counted(int(self.result['lost']), 'sample')}; the file tells which")
                 if self.result["interrupted"]:
-                    times = int(self.result["interrupted"])
-                    self._session._say(f"{self.path}: connections or processes of sources went away {times} times; the file tells which")
+                    times = counted(int(self.result["interrupted"]), "time")
+                    self._session._say(f"{self.path}: connections or processes of sources went away {times}; the file tells which")
         finally:
             self.close()
         return self.result
@@ -219,7 +220,7 @@ class LiveRecording:
 
     def __repr__(self) -> str:
         how = "recording" if self._running else "armed" if self.component else "over"
-        return f"<{self.file}, {how}: {len(self.topics)} topics{f', {self.path}' if self.path else ''}>"
+        return f"<{self.file}, {how}: {counted(len(self.topics), 'topic')}{f', {self.path}' if self.path else ''}>"
 
 
 def _numbers(cpus: Any) -> list[int]:

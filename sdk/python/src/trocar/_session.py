@@ -25,6 +25,7 @@ from ._place import Place
 from ._proxy import Command, Interface
 from ._show import Answer, Tree
 from ._wire import Wire
+from ._words import counted
 
 DEFAULT_ADDRESS = "127.0.0.1:50551"
 _sessions: weakref.WeakSet[Session] = weakref.WeakSet()
@@ -283,8 +284,8 @@ class Session(Changing, Looking):
         lost = "" if self.connected else ", which is gone"
         g = self._graph
         return (
-            f"<trocar session with {self.address}{lost}{seen}: {len(g.processes)} processes, {len(g.components)} components, "
-            f"{len(g.connections)} connections, revision {g.revision}>"
+            f"<trocar session with {self.address}{lost}{seen}: {counted(len(g.processes), 'process')}, "
+            f"{counted(len(g.components), 'component')}, {counted(len(g.connections), 'connection')}, revision {g.revision}>"
         )
 
     def _repr_html_(self) -> str:

@@ -9,6 +9,8 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from ._words import counted
+
 
 class Loss(NamedTuple):
     """Samples of an output that were lost, and how often its source went away."""
@@ -63,10 +65,10 @@ class Losses(Mapping):
     def __repr__(self) -> str:
         if not self.told:
             return "<losses are not told in it>"
-        lines = [f"{name}: {loss.lost} lost, {loss.interrupted} interruptions" for name, loss in self._all.items()]
+        lines = [f"{name}: {loss.lost} lost, {counted(loss.interrupted, 'interruption')}" for name, loss in self._all.items()]
         lines += [f"{name}: recorded, and gave nothing" for name in sorted(self.silent)]
         end = "" if self.final else ", as far as it was told before the file was cut off"
-        return "\n".join([f"{self.lost} lost, {self.interrupted} interruptions{end}", *(f"  {line}" for line in lines)])
+        return "\n".join([f"{self.lost} lost, {counted(self.interrupted, 'interruption')}{end}", *(f"  {line}" for line in lines)])
 
 
 class Told:
