@@ -496,12 +496,13 @@ impl Lcm for ModelLcm {
         let here = |port: &PortId| port.component.process == self.name;
         let end = if here(&connection.client) { End::Client } else { End::Server };
         let (making, mut made) = watch::channel(());
-        {
+        let number = connection.id.0;
+        let before = {
             let mut has = self.has.lock();
-            // Its place is taken at once.
-            has.halves.remove(&connection.id.0);
-            has.linking.insert(connection.id.0, making);
-        }
+            has.linking.insert(number, making);
+            // A client's half takes the place of the one before at once; a server's does when it is there.
+            if end == End::Client { has.halves.remove(&number) } else { None }
+        };
         let gone = || Refusal::ConnectionNotFound { asked: connection.id.0.to_string(), known: Vec::new() };
         let by = Order::from(deadline);
         let worked = tokio::select! {
@@ -513,14 +514,21 @@ impl Lcm for ModelLcm {
             }
             worked = self.works(&by) => worked,
         };
-        self.has.lock().linking.remove(&connection.id.0);
-        worked.inspect_err(|_| self.truth.refused(&connection.client.component))?;
-        if self.chance.once_in(UNREACHABLE) {
-            let Connection { client, server, .. } = connection;
-            self.truth.refused(&client.component);
-            return Err(Refusal::Unreachable { client, server, why: "no socket".into() });
+        self.has.lock().linking.remove(&number);
+        let reached = worked.and_then(|()| match self.chance.once_in(UNREACHABLE) {
+            true => {
+                let Connection { client, server, .. } = connection.clone();
+                Err(Refusal::Unreachable { client, server, why: "no socket".into() })
+            }
+            false => Ok(()),
+        });
+        if let Err(refusal) = reached {
+            self.truth.refused(&connection.client.component);
+            if before.is_some() {
+                let _ = self.news.send(News::Half(HalfReport { connection: number, end, proxy: None }));
+            }
+            return Err(refusal);
         }
-        let number = connection.id.0;
         let (half, report) = {
             let mut has = self.has.lock();
             let report = has.report(&connection.port(end).component)?;
