@@ -2,6 +2,7 @@
 //!
 //! Invariant: what starts last stops first, except that devices are made safe before anything else ends.
 
+mod agent;
 pub mod announce;
 mod builder;
 mod candidacy;
@@ -19,6 +20,7 @@ mod state_dir;
 mod takeover;
 mod threads;
 
+pub use agent::AgentHost;
 pub use builder::HostBuilder;
 pub use candidacy::Among;
 pub use config::HostConfig;

@@ -5,6 +5,7 @@
 //! news are events.
 #![forbid(unsafe_code)]
 
+pub mod agent;
 pub mod control;
 pub mod doctor;
 pub mod gcm;

@@ -3,6 +3,9 @@
 //! Promise: beyond the loopback both sides show certificates of one authority, each holder does what its role
 //! says and nothing else, and one whose certificate is taken back is cut off at once.
 
+#[path = "machines/agents.rs"]
+mod agents;
+
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::PathBuf;

@@ -13,9 +13,46 @@ use trocar::doctor::{Finding, Verdict, judge, probe};
 
 /// Says what this machine allows a host (priorities, locked memory, clock, …) and how to allow more.
 #[derive(Args, Debug)]
-pub(super) struct DoctorArgs {}
+pub(super) struct DoctorArgs {
+    /// Print a systemd unit for `trocar agent` instead, with the rights that real-time components need.
+    #[arg(long)]
+    unit: bool,
+}
 
-pub(super) fn run(_: &DoctorArgs, session: &Session) -> Done {
+/// Returns the unit of an agent for the user who asks.
+fn unit() -> String {
+    let program = std::env::current_exe().map_or_else(|_| "trocar".into(), |path| path.display().to_string());
+    let user = std::env::var("USER").ok().filter(|user| !user.is_empty()).unwrap_or_else(|| "root".into());
+    format!(
+        "# /etc/systemd/system/trocar-agent.service; then: systemctl enable --now trocar-agent\n\
+         [Unit]\n\
+         Description=trocar agent: processes of systems of other machines\n\
+         Wants=network-online.target\n\
+         After=network-online.target\n\
+         \n\
+         [Service]\n\
+         User={user}\n\
+         # The address of this machine, and the file that `trocar ca issue NAME --role host` made for it.\n\
+         ExecStart={program} agent --listen-tls ADDRESS:50550 --identity FILE\n\
+         Restart=always\n\
+         RestartSec=1\n\
+         # The agent ends its processes in order, devices safe first; only what is left then is killed.\n\
+         KillMode=mixed\n\
+         TimeoutStopSec=30\n\
+         LimitRTPRIO=99\n\
+         LimitMEMLOCK=infinity\n\
+         LimitNOFILE=65536\n\
+         \n\
+         [Install]\n\
+         WantedBy=multi-user.target\n"
+    )
+}
+
+pub(super) fn run(args: &DoctorArgs, session: &Session) -> Done {
+    if args.unit {
+        out::text(&unit());
+        return Ok(Exit::Ok);
+    }
     let facts = probe();
     let findings = judge(&facts);
     let exit = if findings.iter().any(|f| f.verdict == Verdict::Bad) { Exit::Refused } else { Exit::Ok };

@@ -20,7 +20,7 @@ pub(super) struct HelpArgs {
 
 const TASKS: &[(&str, &[&str])] = &[
     ("Begin", &["demo", "doctor", "help", "completions"]),
-    ("Run a system", &["run", "up", "down", "host", "gcm", "restart", "forget"]),
+    ("Run a system", &["run", "up", "down", "host", "gcm", "agent", "restart", "forget"]),
     ("System files", &["check", "save", "apply", "diff", "schema"]),
     (
         "See what there is and how it goes",

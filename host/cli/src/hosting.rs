@@ -18,7 +18,7 @@ use trocar::host::{
     Host, HostConfig, HostError, Machines, MemoryBounds, PortRules, StateChoice, StopRequest, Viewer,
     say_to_keeper, state_home,
 };
-use trocar::system_file::ProcessSpec;
+use trocar::system_file::{ProcessSpec, flags};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -83,11 +83,11 @@ pub(super) struct MachineArgs {
     /// Address for other machines, beside the other one; both sides show certificates there, this one that
     /// of --identity.
     #[arg(long, value_name = "ADDR")]
-    listen_tls: Option<String>,
+    pub(super) listen_tls: Option<String>,
     /// Certificates that are believed no more, as the authority lists them: `trocar ca` says where. The file
     /// is looked at again and again.
     #[arg(long, value_name = "FILE")]
-    revoked: Option<PathBuf>,
+    pub(super) revoked: Option<PathBuf>,
 }
 
 impl MachineArgs {
@@ -117,8 +117,7 @@ impl PortArgs {
 
     /// The same for a program that is started.
     pub(super) fn flags(self) -> impl Iterator<Item = &'static str> {
-        let flags = [(self.only_reads, "--viewer-read-only"), (self.open_loopback, "--open-loopback")];
-        flags.into_iter().filter_map(|(is_set, flag)| is_set.then_some(flag))
+        flags(self.rules())
     }
 }
 

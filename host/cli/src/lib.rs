@@ -5,6 +5,7 @@
 //! (`host`, `gcm`, `run`, `up`, `demo`).
 #![forbid(unsafe_code)]
 
+mod agent;
 mod alike;
 mod apply;
 mod ca;
@@ -101,7 +102,8 @@ const LAST: usize = 900;
 
 /// Subcommands that ask no GCM. They take the flag but do not offer it, so that a subcommand that it might
 /// seem to matter to can refuse it in a clear sentence.
-const ASK_NO_GCM: [&str; 13] = [
+const ASK_NO_GCM: [&str; 14] = [
+    "agent",
     "demo",
     "run",
     "gcm",
@@ -146,6 +148,7 @@ enum Command {
     Diff(apply::DiffArgs),
     Host(hosting::HostArgs),
     Gcm(gcm::GcmArgs),
+    Agent(agent::AgentArgs),
     Ls(ls::LsArgs),
     Describe(describe::DescribeArgs),
     Graph(graph::GraphArgs),
@@ -217,6 +220,7 @@ fn dispatch(cli: Cli) -> Done {
         Command::Diff(args) => ask(apply::diff(args, &session)),
         Command::Host(args) => process(hosting::run(args, &session)),
         Command::Gcm(args) => process(gcm::run(args, &session)),
+        Command::Agent(args) => process(agent::run(args, &session)),
         Command::Ls(args) => ask(ls::run(args, &session)),
         Command::Describe(args) => ask(describe::run(args, &session)),
         Command::Graph(args) => ask(graph::run(args, &session)),

@@ -8,7 +8,7 @@ pub(super) mod holding;
 pub(super) mod recording;
 mod system;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -57,6 +57,16 @@ pub(super) fn identity() -> Option<PathBuf> {
     IDENTITY.get().cloned().or_else(from_env)
 }
 
+/// The way to agents of other machines, with the identity of this program; it believes none of `revoked`.
+pub(super) fn dialler_with(revoked: Option<&Path>) -> Result<Dialler, Failure> {
+    Dialler::of_files(identity().as_deref(), revoked).map_err(unread)
+}
+
+fn unread(why: String) -> Failure {
+    let help = "`trocar ca issue` makes one: name its file with --identity or TROCAR_IDENTITY";
+    Failure::local("IDENTITY", why, help)
+}
+
 /// Tells whether a GCM that leads has refused something, rather than that none was there.
 fn is_refusal(status: &tonic::Status) -> bool {
     let told = client::explain(status);
@@ -78,13 +88,7 @@ impl Session {
     /// Reads the identity only where certificates are shown: no file keeps a Stop from this machine.
     fn dialler(addr: &str) -> Result<Dialler, Failure> {
         let identity = identity().filter(|_| addr.contains("https://"));
-        Dialler::of_file(identity.as_deref()).map_err(|why| {
-            Failure::local(
-                "IDENTITY",
-                why,
-                "`trocar ca issue` makes one: name its file with --identity or TROCAR_IDENTITY",
-            )
-        })
+        Dialler::of_files(identity.as_deref(), None).map_err(unread)
     }
 
     pub(super) fn json(&self) -> bool {

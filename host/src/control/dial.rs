@@ -39,6 +39,14 @@ const SECURED: &str = "https://";
 /// The reason why nobody is reached; its innermost cause says it.
 pub type DialError = Box<dyn Error + Send + Sync>;
 
+/// Whoever is called, by the role of its certificate.
+#[derive(Clone, Copy)]
+enum Called {
+    Gcm,
+    /// A host, or an agent of one.
+    Process,
+}
+
 /// The way of this process to ports, with the identity that it shows where certificates are asked for.
 #[derive(Clone, Debug, Default)]
 pub struct Dialler {
@@ -57,13 +65,14 @@ impl Dialler {
         Dialler { identity: Some(identity), revoked }
     }
 
-    /// One that shows the identity in this file, if one is named.
+    /// One that shows the identity in this file, and believes none of `revoked`, if they are named.
     ///
     /// # Errors
-    /// The file is no identity.
-    pub fn of_file(identity: Option<&Path>) -> Result<Dialler, String> {
+    /// A file is no identity, or no list.
+    pub fn of_files(identity: Option<&Path>, revoked: Option<&Path>) -> Result<Dialler, String> {
         let identity = identity.map(Identity::read).transpose().map_err(|e| e.to_string())?;
-        Ok(Dialler { identity: identity.map(Arc::new), revoked: None })
+        let revoked = revoked.map(Revoked::read).transpose()?;
+        Ok(Dialler { identity: identity.map(Arc::new), revoked: revoked.map(Arc::new) })
     }
 
     /// Connects to `HOST:PORT`, `http://HOST:PORT` or, by TLS, `https://HOST:PORT`: by the socket beside it
@@ -90,8 +99,27 @@ impl Dialler {
         self.connect(addr, within, true).await
     }
 
+    /// Connects to an agent, whose stream may be silent for long: one that stands still is found out by
+    /// pings.
+    ///
+    /// # Errors
+    /// As [`Dialler::dial`].
+    pub(super) async fn dial_agent(&self, addr: &str, within: Duration) -> Result<Tokened, DialError> {
+        self.connect_to(Called::Process, addr, within, true).await
+    }
+
     async fn connect(&self, addr: &str, within: Duration, pings: bool) -> Result<Tokened, DialError> {
-        let (endpoint, client) = self.endpoint(addr, within)?;
+        self.connect_to(Called::Gcm, addr, within, pings).await
+    }
+
+    async fn connect_to(
+        &self,
+        called: Called,
+        addr: &str,
+        within: Duration,
+        pings: bool,
+    ) -> Result<Tokened, DialError> {
+        let (endpoint, client) = self.endpoint(called, addr, within)?;
         let endpoint = if pings { pinged(endpoint) } else { endpoint };
         let Some(client) = client else { return Ok(with_token(endpoint.connect().await?)) };
         let why = Why::default();
@@ -124,7 +152,7 @@ impl Dialler {
     /// # Errors
     /// No address, or no identity for it.
     pub(super) fn lazily(&self, addr: &str, within: Duration) -> Result<Tokened, DialError> {
-        let (endpoint, client) = self.endpoint(addr, within)?;
+        let (endpoint, client) = self.endpoint(Called::Gcm, addr, within)?;
         let Some(client) = client else { return Ok(with_token(endpoint.connect_lazy())) };
         let revoked = self.revoked.clone();
         let connector =
@@ -133,7 +161,12 @@ impl Dialler {
     }
 
     /// The endpoint of an address, and what is shown there under TLS.
-    fn endpoint(&self, addr: &str, within: Duration) -> Result<(Endpoint, Option<Client>), DialError> {
+    fn endpoint(
+        &self,
+        called: Called,
+        addr: &str,
+        within: Duration,
+    ) -> Result<(Endpoint, Option<Client>), DialError> {
         let bare = addr.strip_prefix(SECURED).or_else(|| addr.strip_prefix("http://")).unwrap_or(addr);
         // Certificates are shown below HTTP, which knows nothing of them.
         let endpoint =
@@ -146,7 +179,10 @@ impl Dialler {
                         TROCAR_IDENTITY, which `trocar ca issue` makes"
                 .into());
         };
-        let client = Client::new(identity, self.revoked.clone(), &PROTOCOLS)?;
+        let client = match called {
+            Called::Gcm => Client::new(identity, self.revoked.clone(), &PROTOCOLS)?,
+            Called::Process => Client::of_processes(identity, self.revoked.clone(), &PROTOCOLS)?,
+        };
         Ok((endpoint, Some(client)))
     }
 }

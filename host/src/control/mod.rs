@@ -3,6 +3,7 @@
 //! Invariant: every refusal leaves through `status.rs`, every name enters through `convert`; methods decide
 //! nothing.
 
+mod agents;
 mod attach;
 mod caller;
 pub(crate) mod convert;
@@ -25,6 +26,7 @@ mod web;
 #[cfg(test)]
 mod tests;
 
+pub use agents::{Reach, Seen, ToKeep};
 pub use attach::{AttachEdge, FeedOutbound, Outbound};
 pub use caller::{PortRules, Tokened, Viewer};
 pub use dial::{DialError, Dialler};

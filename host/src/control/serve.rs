@@ -19,12 +19,14 @@ use tonic_health::server::HealthReporter;
 use trocar_model::{Name, Refusal};
 use trocar_net::{Identity, Revoked, Role};
 use trocar_proto::FILE_DESCRIPTOR_SET;
+use trocar_proto::v1::agent_service_server::AgentServiceServer;
 use trocar_proto::v1::attach_service_server::AttachServiceServer;
 use trocar_proto::v1::gcm_service_server::GcmServiceServer;
 use trocar_proto::v1::guest_service_server::GuestServiceServer;
 use trocar_proto::v1::interact_service_server::InteractServiceServer;
 use trocar_proto::v1::plugin_service_server::PluginServiceServer;
 
+use super::agents::AgentEdge;
 use super::attach::{AttachEdge, MAX_MESSAGE};
 use super::caller::{Access, PortRules, READERS, own_user};
 use super::doors::Doors;
@@ -32,8 +34,9 @@ use super::incoming::{Connection, Incoming, Secure};
 use super::occupant::{self, Occupant};
 use super::seat::{Seat, refusing};
 use super::server::{Commanded, Edge, FOLLOWED, Standing};
-use super::transport::{GRACE, transport};
+use super::transport::{GRACE, patient, transport};
 use super::web;
+use crate::agent::Agent;
 use crate::gcm::{Gcm, Lead, Lines, Standing as Journal};
 use crate::lcm::{Lcm, News};
 use crate::runtime_dir::RuntimeDir;
@@ -123,7 +126,30 @@ impl Server {
         let access = access(config.rules, config.runtime.as_ref());
         let routes = routes(edge, config.gcm, access, closing, None).await.map_err(damaged)?;
         let secured = secure(config.secured).await?;
-        Server::serve((&config.listen, listener, secured), routes, config.runtime, (open, logging))
+        let at = (config.listen.as_str(), listener, secured);
+        Server::serve(at, (routes, transport), config.runtime, (open, logging))
+    }
+
+    /// Binds, and serves an agent in the background.
+    ///
+    /// # Errors
+    /// As [`Server::start`].
+    pub async fn start_agent(
+        listen: &str,
+        rules: PortRules,
+        secured: Option<Secured>,
+        runtime: Option<RuntimeDir>,
+        agent: Agent,
+    ) -> Result<Server, ServeError> {
+        let listener = bind(listen, None).await?;
+        let secured = secure(secured).await?;
+        let (open, closing) = watch::channel(());
+        let (reporter, health) = tonic_health::server::health_reporter();
+        reporter.set_serving::<AgentServiceServer<AgentEdge>>().await;
+        let mut services = described(Routes::builder()).map_err(damaged)?;
+        services.add_service(AgentServiceServer::new(AgentEdge::new(agent, closing))).add_service(health);
+        let routes = web::without_page(services.routes(), access(rules, runtime.as_ref()));
+        Server::serve((listen, listener, secured), (routes, patient), runtime, (open, None))
     }
 
     /// Binds, and serves what the seat of a GCM among several says, in the background.
@@ -144,13 +170,14 @@ impl Server {
         let idle = web::with_page(refusing(services.routes()), None, access(rules, runtime.as_ref()));
         let seat = Seat::new(idle, reporter);
         let open = watch::channel(()).0;
-        let server = Server::serve((listen, listener, secured), seat.routes(), runtime, (open, None))?;
+        let at = (listen, listener, secured);
+        let server = Server::serve(at, (seat.routes(), transport), runtime, (open, None))?;
         Ok((server, seat))
     }
 
     fn serve(
         (listen, listener, secured): (&str, TcpListener, Option<(SocketAddr, Secure)>),
-        routes: Routes,
+        (routes, transport): (Routes, fn() -> tonic::transport::Server),
         runtime: Option<RuntimeDir>,
         (open, logging): (watch::Sender<()>, Option<JoinHandle<()>>),
     ) -> Result<Server, ServeError> {
@@ -158,9 +185,10 @@ impl Server {
         let doors = runtime.map(|dir| Doors::open(&dir, addr, &routes));
         let stop = watch::Sender::new(false);
         let incoming = Incoming::tcp(listener, own_user());
-        let mut tasks = vec![tokio::spawn(answer(incoming, routes.clone(), stop.subscribe()))];
+        let on = transport();
+        let mut tasks = vec![tokio::spawn(answer(incoming, on.clone(), routes.clone(), stop.subscribe()))];
         let (secured, callers) = secured.unzip();
-        tasks.extend(callers.map(|callers| tokio::spawn(answer(callers, routes, stop.subscribe()))));
+        tasks.extend(callers.map(|callers| tokio::spawn(answer(callers, on, routes, stop.subscribe()))));
         Ok(Server { addr, secured, stop, doors, open, tasks, logging })
     }
 
@@ -201,15 +229,19 @@ impl Server {
 }
 
 /// Answers those who come in until it is told to stop.
-async fn answer<I>(incoming: I, routes: Routes, mut stop: watch::Receiver<bool>)
-where
+async fn answer<I>(
+    incoming: I,
+    mut transport: tonic::transport::Server,
+    routes: Routes,
+    mut stop: watch::Receiver<bool>,
+) where
     I: tokio_stream::Stream<Item = std::io::Result<Connection>> + Unpin + Send + 'static,
 {
     let stopped = async move {
         // A dropped sender means the same.
         let _ = stop.wait_for(|stop| *stop).await;
     };
-    if let Err(e) = transport().add_routes(routes).serve_with_incoming_shutdown(incoming, stopped).await {
+    if let Err(e) = transport.add_routes(routes).serve_with_incoming_shutdown(incoming, stopped).await {
         log::error!("the gRPC port ended: {e}");
     }
 }

@@ -245,6 +245,11 @@ impl Ledger {
         seen.map_err(|why| Refusal::JournalUnavailable { carried_out: true, why })
     }
 
+    /// Tells whether a GCM that is started after this one knows of a record, or of nothing at all.
+    pub(super) fn is_on_record(&self, record: u64) -> bool {
+        *self.durable.borrow() >= record || *self.standing.borrow() == Standing::None
+    }
+
     /// Tells whether another GCM may lead by now.
     pub(super) fn is_doubted(&self) -> bool {
         self.lead.as_ref().is_some_and(|lead| lead.holds().is_err())

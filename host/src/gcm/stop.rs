@@ -44,6 +44,14 @@ struct Halting {
     session: Option<u64>,
 }
 
+/// Why a Stop of a component that stands still may be forgotten.
+const FORGOTTEN: &str = "it stood still when it was heard last, its process is not heard now, and the journal does not hold \
+                         this Stop yet: a GCM that is started after this one may set it in motion again";
+
+/// Components that a Stop names and no process was told of, since they stand still: the record alone keeps
+/// them from being set in motion.
+type Unheard = BTreeSet<ComponentId>;
+
 /// Components that a process has stopped, in that session.
 struct Told {
     session: Option<u64>,
@@ -76,28 +84,26 @@ impl Gcm {
         let decision = self.inner.claims.decide_stop(&targets);
         let halting =
             Halting { targets: Arc::new(targets), decision, deadline, known_here: 0, session: None };
-        let mut done = self.halt(&halting).await?;
+        let (mut done, unheard) = self.halt(&halting).await?;
         let stopped = done.plan.changes.iter().any(|change| matches!(change, Change::Run { .. }));
         let mut answer = None;
         let record = self.stop_on_record(&halting, stopped && !counted, |revision| {
             done.revision = revision;
-            let refused = worst(&done.failed).cloned();
-            let told = match refused.filter(|_| done.reports.is_empty() && done.plan.skipped.is_empty()) {
-                Some(refusal) => Err(refusal),
-                None => Ok(std::mem::take(&mut done)),
-            };
+            let told = told(std::mem::take(&mut done));
             answer = Some(told.clone());
             Some((asked.clone(), told))
         });
         // It has acted; a disk that hangs does not keep the answer.
         let gcm = self.clone();
-        let on_record = tokio::spawn(async move { gcm.inner.ledger.durable(record).await });
-        let on_record = tokio::time::timeout(ON_RECORD, on_record).await;
-        if let Some(Ok(done)) = &mut answer
-            && self.inner.ledger.is_shared()
-            && !matches!(on_record, Ok(Ok(Ok(()))))
-        {
-            done.left.push(NOT_YET.into());
+        let durable = tokio::spawn(async move { gcm.inner.ledger.durable(record).await });
+        let durable = tokio::time::timeout(ON_RECORD, durable).await;
+        if let Some(Ok(done)) = &mut answer {
+            if self.inner.ledger.is_shared() && !matches!(durable, Ok(Ok(Ok(())))) {
+                done.left.push(NOT_YET.into());
+            }
+            if !self.inner.ledger.is_on_record(record) {
+                answer = Some(told(forgettable(std::mem::take(done), &unheard)));
+            }
         }
         answer.unwrap_or_else(|| Err(Refusal::Internal { text: "a Stop without an answer".into() }))
     }
@@ -119,10 +125,10 @@ impl Gcm {
     }
 
     /// Has every process that is heard stop what is named, side by side, and says what became of the rest.
-    async fn halt(&self, halting: &Halting) -> Result<Executed, Refusal> {
+    async fn halt(&self, halting: &Halting) -> Result<(Executed, Unheard), Refusal> {
         let named = |process: &Name| halting.targets.iter().any(|target| target.within(process).is_some());
         let (mut done, mut known) = (Executed::default(), BTreeSet::new());
-        let mut answered = BTreeSet::new();
+        let (mut answered, mut unheard) = (BTreeSet::new(), Unheard::new());
         loop {
             let heard = self.inner.sessions.lock().heard();
             // Also a process that has come since.
@@ -151,15 +157,15 @@ impl Gcm {
                     }
                     Err(refusal) => {
                         log::error!("process {process} cannot be told to stop: {refusal}");
-                        self.not_told(&process, &refusal, halting, &mut done);
+                        unheard.extend(self.not_told(&process, &refusal, halting, &mut done));
                     }
                 }
                 answered.insert(process);
             }
         }
-        self.rest(&answered, halting, &mut done);
+        unheard.extend(self.rest(&answered, halting, &mut done));
         self.unknown(&known, halting, &mut done);
-        Ok(done)
+        Ok((done, unheard))
     }
 
     /// Orders one process to stop; where it is lost meanwhile and comes back, again.
@@ -244,9 +250,10 @@ impl Gcm {
         }
     }
 
-    /// Says what becomes of the components of a process that could not be told.
-    fn not_told(&self, process: &Name, refusal: &Refusal, halting: &Halting, done: &mut Executed) {
-        let graph = self.graph();
+    /// Says what becomes of the components of a process that could not be told. Returns those that stand
+    /// still.
+    fn not_told(&self, process: &Name, refusal: &Refusal, halting: &Halting, done: &mut Executed) -> Unheard {
+        let (graph, mut unheard) = (self.graph(), Unheard::new());
         let mut sessions = self.inner.sessions.lock();
         sessions.not_told(process, &halting.targets, halting.decision);
         for (id, component) in graph.components.iter().filter(|(id, _)| id.process == *process) {
@@ -258,24 +265,27 @@ impl Gcm {
                 done.failed.push((Target::One(id.clone()), not_told));
             } else {
                 done.plan.skipped.push(stands(id.clone(), component.state));
+                unheard.insert(id.clone());
             }
         }
+        unheard
     }
 
-    /// Says what becomes of components whose process is not heard.
-    fn rest(&self, heard: &BTreeSet<Name>, halting: &Halting, done: &mut Executed) {
-        let graph = self.graph();
+    /// Says what becomes of components whose process is not heard. Returns those that stand still.
+    fn rest(&self, heard: &BTreeSet<Name>, halting: &Halting, done: &mut Executed) -> Unheard {
+        let (graph, mut unheard) = (self.graph(), Unheard::new());
         for (name, process) in graph.processes.iter().filter(|(name, _)| !heard.contains(*name)) {
             if !self.has_ended(name, process) {
-                self.not_told(name, &process.lost(name), halting, done);
+                unheard.extend(self.not_told(name, &process.lost(name), halting, done));
                 continue;
             }
-            let mine = graph.components.keys().filter(|id| id.process == *name && halting.names(id));
-            done.plan.skipped.extend(mine.map(|id| Skipped {
-                id: id.clone(),
-                why: "its process has ended; it comes back stopped".into(),
-            }));
+            for id in graph.components.keys().filter(|id| id.process == *name && halting.names(id)) {
+                let why = "its process has ended; it comes back stopped".into();
+                done.plan.skipped.push(Skipped { id: id.clone(), why });
+                unheard.insert(id.clone());
+            }
         }
+        unheard
     }
 
     /// Names what no process has.
@@ -346,7 +356,7 @@ impl Gcm {
             let mut done = Executed::default();
             match gcm.halt_process(&process, &halting).await {
                 Ok(told) => gcm.note(&process, told, &mut done),
-                Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
+                Err(refusal) => _ = gcm.not_told(&process, &refusal, &halting, &mut done),
             }
         });
     }
@@ -368,7 +378,7 @@ impl Gcm {
                 let mut done = Executed::default();
                 match gcm.halt_process(&process, &halting).await {
                     Ok(told) => gcm.note(&process, told, &mut done),
-                    Err(refusal) => gcm.not_told(&process, &refusal, &halting, &mut done),
+                    Err(refusal) => _ = gcm.not_told(&process, &refusal, &halting, &mut done),
                 }
                 if !done.plan.changes.is_empty() {
                     gcm.stop_on_record(&halting, true, |_| None);
@@ -459,6 +469,23 @@ fn would_stop(graph: &SystemGraph, targets: &[Target]) -> Answer {
             Ok(Executed { revision: graph.revision, plan, failed, ..Executed::default() })
         }
     }
+}
+
+/// The answer to a Stop: a refusal where it is that alone.
+fn told(done: Executed) -> Answer {
+    let refused = worst(&done.failed).cloned();
+    match refused.filter(|_| done.reports.is_empty() && done.plan.skipped.is_empty()) {
+        Some(refusal) => Err(refusal),
+        None => Ok(done),
+    }
+}
+
+/// The same outcome where the record may be lost: it is not OK for what rests on that alone.
+fn forgettable(mut done: Executed, unheard: &Unheard) -> Executed {
+    let rests = done.plan.skipped.extract_if(.., |skipped| unheard.contains(&skipped.id));
+    let not_told = |id: ComponentId| Refusal::StopNotTold { id, why: FORGOTTEN.into() };
+    done.failed.extend(rests.map(|Skipped { id, .. }| (Target::One(id.clone()), not_told(id))));
+    done
 }
 
 fn stands(id: ComponentId, state: State) -> Skipped {

@@ -23,6 +23,8 @@ pub enum Exit {
     Killed(String),
     /// The process was killed and is still there: the reason for the kill.
     Stuck(String),
+    /// The process was to end, and its machine does not answer: the reason.
+    Away(String),
 }
 
 /// Signals by number, as Linux numbers them on x86-64 and aarch64.
@@ -93,6 +95,7 @@ impl fmt::Display for Exit {
             Exit::NotStarted(why) => write!(f, "could not be started: {why}"),
             Exit::Killed(why) => write!(f, "{why} and was killed"),
             Exit::Stuck(why) => write!(f, "{why}, was killed and is still not gone"),
+            Exit::Away(why) => write!(f, "may still run: {why}"),
         }
     }
 }

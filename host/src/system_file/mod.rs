@@ -13,6 +13,7 @@ mod judge_tests;
 mod overrides;
 mod place;
 mod problem;
+mod program;
 mod read;
 mod running;
 #[cfg(test)]
@@ -38,6 +39,7 @@ pub use draft::Draft;
 pub use judge::Judged;
 pub use overrides::BadSet;
 pub use problem::Problem;
+pub use program::{Place, flags};
 pub use running::Running;
 pub use schema::system_schema;
 pub use write::Picture;
@@ -59,6 +61,8 @@ const MAX_BYTES: u64 = 16 << 20;
 /// A whole system, as written.
 #[derive(Clone, Debug)]
 pub struct SystemFile {
+    /// Other machines, on which agents keep processes.
+    pub machines: Vec<MachineSpec>,
     pub processes: Vec<ProcessSpec>,
     /// In the order of the file.
     pub components: Vec<ComponentSpec>,
@@ -68,10 +72,20 @@ pub struct SystemFile {
     is_changed: bool,
 }
 
+/// Another machine of a system file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MachineSpec {
+    pub name: Name,
+    /// Address of its agent: `HOST:PORT`, or `https://HOST:PORT` where certificates are shown.
+    pub agent: String,
+}
+
 /// One process of a system file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProcessSpec {
     pub name: Name,
+    /// The machine that it is to run on; `None`: that of the program that starts it.
+    pub machine: Option<Name>,
     /// Plugin directories, as written (relative to the file's directory).
     pub plugins: Vec<PathBuf>,
     pub trust: TrustSpec,
@@ -89,9 +103,11 @@ pub struct ProcessSpec {
 }
 
 impl ProcessSpec {
-    fn new(name: Name) -> ProcessSpec {
+    /// A process of this name with the usual settings.
+    pub fn new(name: Name) -> ProcessSpec {
         ProcessSpec {
             name,
+            machine: None,
             plugins: Vec::new(),
             trust: TrustSpec::default(),
             listen: None,
@@ -204,10 +220,25 @@ impl SystemFile {
     /// The one process of the file.
     ///
     /// # Errors
-    /// None or several: a file with several processes is for `up`.
+    /// None or several, or one of another machine: these are for `up`.
     pub fn single_process(&self) -> Result<&ProcessSpec, Problem> {
         match self.processes.as_slice() {
-            [one] => Ok(one),
+            [one] => match &one.machine {
+                None => Ok(one),
+                Some(machine) => {
+                    let pointer = format!("/processes/{}/machine", one.name);
+                    let node = self.document.root.nearest_to(&pointer);
+                    Err(self.document.problem(
+                        node.at,
+                        &pointer,
+                        format!(
+                            "process {} is to run on the machine {machine}, `run` starts it on this one",
+                            one.name
+                        ),
+                        "`trocar up` starts processes of other machines".to_owned(),
+                    ))
+                }
+            },
             all => {
                 let names: Vec<&str> = all.iter().map(|p| p.name.as_str()).collect();
                 let node = self.document.root.nearest_to("/processes");

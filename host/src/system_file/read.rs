@@ -16,14 +16,15 @@ use super::cursor::{Cursor, Document, Found, did_you_mean};
 use super::draft::{Doubts, Draft};
 use super::isolation::isolate;
 use super::problem::Problem;
-use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
+use super::{ComponentSpec, ConnectionSpec, MachineSpec, ProcessSpec, SystemFile, TrustSpec};
 use crate::host::MemoryBounds;
 use crate::processes::{Limits, Policy, Unheard};
 
 pub(super) const SYSTEM: &[&str] =
-    &["$schema", "version", "processes", "components", "connections", "scenarios"];
+    &["$schema", "version", "machines", "processes", "components", "connections", "scenarios"];
+pub(super) const MACHINE: &[&str] = &["agent"];
 pub(super) const PROCESS: &[&str] =
-    &["plugins", "trust", "listen", "state", "env", "restart", "memory", "allow_exec"];
+    &["machine", "plugins", "trust", "listen", "state", "env", "restart", "memory", "allow_exec"];
 pub(super) const RESTART: &[&str] =
     &["max", "within_s", "backoff_ms", "most_backoff_ms", "start_within_s", "unheard_s"];
 pub(super) const MEMORY: &[&str] = &["warn_mib", "limit_mib"];
@@ -90,8 +91,9 @@ impl Draft {
         let document = Document::parse(file, text).map_err(|problem| vec![problem])?;
         let (found, mut doubts) = (Found::default(), Doubts::default());
         match parts(&document, &found, &mut doubts) {
-            Some((processes, components, connections)) => {
-                let file = SystemFile { processes, components, connections, document, is_changed: false };
+            Some((machines, processes, components, connections)) => {
+                let file =
+                    SystemFile { machines, processes, components, connections, document, is_changed: false };
                 Ok(Draft { file, problems: found.all(), doubts })
             }
             None => Err(found.all()),
@@ -99,7 +101,7 @@ impl Draft {
     }
 }
 
-type Parts = (Vec<ProcessSpec>, Vec<ComponentSpec>, Vec<ConnectionSpec>);
+type Parts = (Vec<MachineSpec>, Vec<ProcessSpec>, Vec<ComponentSpec>, Vec<ConnectionSpec>);
 
 fn parts(document: &Document, found: &Found, doubts: &mut Doubts) -> Option<Parts> {
     let root = document.cursor();
@@ -116,7 +118,8 @@ fn parts(document: &Document, found: &Found, doubts: &mut Doubts) -> Option<Part
         ));
         return None;
     }
-    let listed = fields.get("processes").map(|part| processes(part, found, doubts));
+    let machines = fields.get("machines").map_or_else(Vec::new, |part| machines(part, found));
+    let listed = fields.get("processes").map(|part| processes(part, &machines, found, doubts));
     let mut components =
         fields.get("components").map_or_else(Vec::new, |c| components(c, listed.as_deref(), found, doubts));
     let mut connections =
@@ -132,7 +135,7 @@ fn parts(document: &Document, found: &Found, doubts: &mut Doubts) -> Option<Part
     }
     let mut processes = listed.unwrap_or_else(|| implied_processes(&components));
     isolate(document, &mut processes, &mut components, &mut connections, found);
-    Some((processes, components, connections))
+    Some((machines, processes, components, connections))
 }
 
 /// Without a `processes` part, the processes are those the components are in.
@@ -146,7 +149,59 @@ fn implied_processes(components: &[ComponentSpec]) -> Vec<ProcessSpec> {
     processes
 }
 
-fn processes(part: &Cursor<'_>, found: &Found, doubts: &mut Doubts) -> Vec<ProcessSpec> {
+fn machines(part: &Cursor<'_>, found: &Found) -> Vec<MachineSpec> {
+    let mut machines = Vec::new();
+    for (key, value) in part.entries("machines", found) {
+        let name = key.text.parse::<Name>().map_err(|e: Refusal| {
+            part.key_problem(
+                key,
+                e.to_string(),
+                "a machine's name is letters, digits, '_', '-', '.', up to 63 characters",
+            )
+        });
+        let fields = value.fields("a machine", MACHINE, found);
+        let agent = fields.need("agent", found).and_then(|agent| found.take(address(agent)));
+        // One whose agent cannot be read is there all the same: a process on it is no mistake.
+        let agent = agent.unwrap_or_default();
+        machines.extend(found.take(name).map(|name| MachineSpec { name, agent }));
+    }
+    machines
+}
+
+/// Address of an agent.
+fn address(value: &Cursor<'_>) -> Result<String, Problem> {
+    let text = value.text()?;
+    let bare = text.strip_prefix("https://").unwrap_or(text);
+    let port = bare.rsplit_once(':').and_then(|(host, port)| {
+        (!host.is_empty() && !host.contains('/')).then(|| port.parse::<u16>().ok())?
+    });
+    match port {
+        Some(1..) => Ok(text.to_owned()),
+        _ => Err(value.problem(
+            format!("{text:?} is not the address of an agent"),
+            "write \"https://HOST:PORT\", as `trocar agent --listen-tls` prints it; or \"127.0.0.1:PORT\" of this machine",
+        )),
+    }
+}
+
+/// The machine of a process.
+fn machine(value: &Cursor<'_>, machines: &[MachineSpec]) -> Result<Name, Problem> {
+    let text = value.text()?;
+    let there = machines.iter().find(|machine| machine.name.as_str() == text);
+    there.map(|machine| machine.name.clone()).ok_or_else(|| {
+        value.problem(
+            format!("machine {text:?} is not in \"machines\""),
+            did_you_mean(text, machines.iter().map(|machine| machine.name.as_str())),
+        )
+    })
+}
+
+fn processes(
+    part: &Cursor<'_>,
+    machines: &[MachineSpec],
+    found: &Found,
+    doubts: &mut Doubts,
+) -> Vec<ProcessSpec> {
     let mut processes = Vec::new();
     for (key, value) in part.entries("processes", found) {
         let name = key.text.parse::<Name>().map_err(|e: Refusal| {
@@ -161,9 +216,12 @@ fn processes(part: &Cursor<'_>, found: &Found, doubts: &mut Doubts) -> Vec<Proce
         let plugins = fields.get("plugins").map_or_else(Vec::new, |list| texts(list, found));
         let trust = found.may(fields.get("trust").map(trust)).unwrap_or_default();
         let allow_exec = found.may(fields.get("allow_exec").map(Cursor::flag)).unwrap_or_default();
-        let knows_classes = found.count() == before;
+        // Without plugin directories of its own it has those of its machine.
+        let knows_classes =
+            found.count() == before && !(fields.get("machine").is_some() && plugins.is_empty());
         let spec = |name| ProcessSpec {
             name,
+            machine: found.may(fields.get("machine").map(|part| machine(part, machines))),
             plugins: plugins.into_iter().map(PathBuf::from).collect(),
             trust,
             listen: found.may(fields.get("listen").map(listen)),

@@ -61,7 +61,7 @@ impl Running<'_> {
         // An output without a type is what the first input with one makes of it.
         between.sort_by_key(|c| is_untyped(graph, &c.client));
         let connections = between.into_iter().map(|c| connection(graph, c)).collect();
-        (Picture { processes, components, connections }, notes)
+        (Picture { processes, components, connections, ..Picture::default() }, notes)
     }
 
     fn process(&self, name: &Name, folder: &Path, notes: &mut Vec<String>) -> ProcessSpec {

@@ -19,6 +19,12 @@ pub fn system_schema() -> Value {
             "$schema": { "type": "string", "description": "Where this schema is, for editors." },
             "//": { "description": "A comment." },
             "version": { "const": 1, "description": "Version of the file format." },
+            "machines": {
+                "type": "object",
+                "description": "Other machines by name, on which an agent keeps processes. For `trocar up`.",
+                "properties": { "//": { "description": "A comment." } },
+                "additionalProperties": { "$ref": "#/$defs/machine" }
+            },
             "processes": {
                 "type": "object",
                 "description": "Processes by name. Left out: those the components name.",
@@ -39,6 +45,7 @@ pub fn system_schema() -> Value {
             "scenarios": { "type": "object", "description": "Not part of this version: leave it empty.", "maxProperties": 0 }
         },
         "$defs": {
+            "machine": machine(),
             "process": process(),
             "memory": memory(),
             "restart": restart(),
@@ -46,6 +53,19 @@ pub fn system_schema() -> Value {
             "execution": execution(),
             "connection": connection(),
             "queue": queue()
+        }
+    })
+}
+
+/// Schema of another machine.
+fn machine() -> Value {
+    json!({
+        "type": "object",
+        "required": ["agent"],
+        "additionalProperties": false,
+        "properties": {
+            "//": { "description": "A comment." },
+            "agent": { "type": "string", "description": "Address of its agent, as `trocar agent` prints it: https://HOST:PORT, or of this machine 127.0.0.1:PORT." }
         }
     })
 }
@@ -58,16 +78,17 @@ fn process() -> Value {
         "additionalProperties": false,
         "properties": {
             "//": { "description": "A comment." },
+            "machine": { "type": "string", "description": "The machine it runs on. Left out: that of `trocar up`. For `trocar up`." },
             "plugins": {
                 "type": "array", "items": { "type": "string" },
-                "description": "Directories of plugin files, relative to this file."
+                "description": "Directories of plugin files, relative to this file. The files go along to another machine; left out there: those of its agent."
             },
             "trust": {
                 "type": "string", "pattern": "^(dev|allowlist:.+)$", "default": "dev",
                 "description": "dev: your own and root's files. allowlist:FILE: only files whose sha256 the file lists (relative to this file)."
             },
             "listen": { "type": "string", "default": "127.0.0.1:0", "description": "Address it listens on; port 0 takes a free one. For `trocar up`." },
-            "state": { "type": "string", "description": "Where it keeps its state, relative to this file. Left out: in the user's state directory. For `trocar up`." },
+            "state": { "type": "string", "description": "Where it keeps its state, relative to this file, on another machine to its agent's folder of the system. Left out: in the user's state directory, or in that folder. For `trocar up`." },
             "env": { "type": "object", "additionalProperties": { "type": "string" }, "description": "Variables of its environment. For `trocar up`." },
             "restart": {
                 "description": "What follows when it ends other than asked. For `trocar up`.",

@@ -312,6 +312,7 @@ fn the_schema_lists_exactly_the_keys_that_are_read() {
     };
     let parts = [
         ("/properties", super::read::SYSTEM),
+        ("/$defs/machine/properties", super::read::MACHINE),
         ("/$defs/process/properties", super::read::PROCESS),
         ("/$defs/restart/properties", super::read::RESTART),
         ("/$defs/memory/properties", super::read::MEMORY),
@@ -322,6 +323,51 @@ fn the_schema_lists_exactly_the_keys_that_are_read() {
     ];
     for (pointer, known) in parts {
         assert_eq!(keys(pointer), sorted(known), "{pointer} of the schema and read.rs differ");
+    }
+}
+
+const APART: &str = r#"{
+  "version": 1,
+  "machines": { "cart": { "agent": "https://10.0.0.2:50550" }, "here": { "agent": "127.0.0.1:50550" } },
+  "processes": { "oct": { "machine": "cart", "plugins": ["p"] }, "host": {} },
+  "components": { "oct/source": { "class": "oct_source", "isolation": "process" }, "host/s": { "class": "sine" } },
+  "connections": []
+}
+"#;
+
+#[test]
+fn a_process_is_on_the_machine_that_the_file_says_and_so_is_what_is_isolated_from_it() {
+    let file = parse(APART).unwrap();
+    let on = |name: &str| {
+        let process = file.processes.iter().find(|p| p.name.as_str() == name).unwrap();
+        process.machine.as_ref().map(ToString::to_string)
+    };
+    assert_eq!(
+        (on("oct").as_deref(), on("oct.source").as_deref(), on("host")),
+        (Some("cart"), Some("cart"), None)
+    );
+    let written = parse(&file.picture().text()).unwrap();
+    assert_eq!((written.picture(), written.machines.len()), (file.picture(), 2));
+    let alone =
+        APART.replacen(", \"host\": {}", "", 1).replacen(", \"host/s\": { \"class\": \"sine\" }", "", 1);
+    let alone = alone.replacen(", \"isolation\": \"process\"", "", 1);
+    let refused = parse(&alone).unwrap().single_process().unwrap_err();
+    assert_eq!(refused.pointer, "/processes/oct/machine", "{refused}");
+}
+
+#[test]
+fn a_machine_that_cannot_be_is_said_with_its_place() {
+    for (from, to, pointer) in [
+        ("\"machine\": \"cart\"", "\"machine\": \"crat\"", "/processes/oct/machine"),
+        ("127.0.0.1:50550", "127.0.0.1", "/machines/here/agent"),
+        ("127.0.0.1:50550", "127.0.0.1:0", "/machines/here/agent"),
+        ("https://10.0.0.2:50550", "ftp://10.0.0.2:50550", "/machines/cart/agent"),
+        ("{ \"agent\": \"127.0.0.1:50550\" }", "{}", "/machines/here"),
+        ("\"here\"", "\"he/re\"", "/machines/he~1re"),
+    ] {
+        let problems = Draft::of("f", APART.replacen(from, to, 1)).unwrap().problems;
+        let pointers: Vec<&str> = problems.iter().map(|p| p.pointer.as_str()).collect();
+        assert_eq!(pointers, [pointer], "{to}: {problems:#?}");
     }
 }
 

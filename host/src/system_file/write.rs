@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use trocar_model::{ComponentId, Execution, PortId};
 
 use super::words::{spelled, spelled_options};
-use super::{ComponentSpec, ConnectionSpec, ProcessSpec, SystemFile, TrustSpec};
+use super::{ComponentSpec, ConnectionSpec, MachineSpec, ProcessSpec, SystemFile, TrustSpec};
 use crate::host::MemoryBounds;
 use crate::processes::{Limits, Policy, Unheard};
 
@@ -22,6 +22,7 @@ const EXACT: f64 = 9_007_199_254_740_992.0;
 /// The content of a system file, wherever it comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Picture {
+    pub machines: Vec<MachineSpec>,
     pub processes: Vec<ProcessSpec>,
     pub components: Vec<ComponentSpec>,
     pub connections: Vec<ConnectionSpec>,
@@ -31,6 +32,7 @@ impl SystemFile {
     /// Returns its content, settings of the command line included.
     pub fn picture(&self) -> Picture {
         Picture {
+            machines: self.machines.clone(),
             processes: self.processes.clone(),
             components: self.components.clone(),
             connections: self.connections.clone(),
@@ -50,7 +52,15 @@ impl Picture {
             self.components.iter().map(|c| (c.written.to_string(), component(c))).collect();
         let written: BTreeMap<_, _> = self.components.iter().map(|c| (&c.id, &c.written)).collect();
         let connections = self.connections.iter().map(|c| connection(c, &written)).collect();
-        let mut out = "{\n  \"version\": 1,\n  \"processes\": ".to_owned();
+        let mut out = "{\n  \"version\": 1,\n".to_owned();
+        if !self.machines.is_empty() {
+            let agent = |m: &MachineSpec| object([("agent", Some(Value::from(m.agent.as_str())))]);
+            let machines = self.machines.iter().map(|m| (m.name.to_string(), agent(m))).collect();
+            out.push_str("  \"machines\": ");
+            put(&mut out, &Node::Object(machines), 2, WIDTH - 15);
+            out.push_str(",\n");
+        }
+        out.push_str("  \"processes\": ");
         put(&mut out, &Node::Object(processes), 2, WIDTH - 16);
         out.push_str(",\n  \"components\": ");
         broken(&mut out, &Node::Object(components), 2);
@@ -72,11 +82,12 @@ fn connection(c: &ConnectionSpec, written: &BTreeMap<&ComponentId, &ComponentId>
 }
 
 fn process(p: &ProcessSpec) -> Node {
-    let ProcessSpec { name: _, plugins, trust, listen, state, env, restart, memory, allow_exec } = p;
+    let ProcessSpec { name: _, machine, plugins, trust, listen, state, env, restart, memory, allow_exec } = p;
     let path = |path: &std::path::Path| Value::from(path.to_string_lossy().into_owned());
     let plugins: Vec<Value> = plugins.iter().map(|dir| path(dir)).collect();
     let env = env.iter().map(|(name, value)| (name.clone(), Value::from(value.as_str())));
     object([
+        ("machine", machine.as_ref().map(|machine| Value::from(machine.as_str()))),
         ("plugins", (!plugins.is_empty()).then_some(Value::Array(plugins))),
         (
             "trust",

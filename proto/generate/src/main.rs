@@ -15,7 +15,7 @@ use std::{env, fs};
 use prost::Message;
 use sha2::{Digest, Sha256};
 
-const FILES: [&str; 6] = ["types", "gcm", "attach", "interact", "plugin", "guest"];
+const FILES: [&str; 7] = ["types", "gcm", "attach", "interact", "plugin", "guest", "agent"];
 const JOURNAL: &str = "trocar/journal/v1/journal.proto";
 const JOURNAL_CODE: &str = "trocar.journal.v1.rs";
 const ETCD: &str = "etcdserverpb/rpc.proto";

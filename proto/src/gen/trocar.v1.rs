@@ -7607,3 +7607,860 @@ pub mod guest_service_server {
         const NAME: &'static str = SERVICE_NAME;
     }
 }
+/// From the caller.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct KeepRequest {
+    /// The message.
+    #[prost(oneof = "keep_request::Message", tags = "1, 2, 3, 4, 5, 6, 7")]
+    pub message: ::core::option::Option<keep_request::Message>,
+}
+/// Nested message and enum types in `KeepRequest`.
+pub mod keep_request {
+    /// The message.
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Message {
+        /// First message of the stream.
+        #[prost(message, tag = "1")]
+        Hello(super::KeepHello),
+        /// Starts a process and keeps it; one of that name that is kept stays as it is.
+        #[prost(message, tag = "2")]
+        Start(super::AgentProcess),
+        /// Ends an incarnation that is of no use, as one that failed.
+        #[prost(message, tag = "3")]
+        PutDown(super::PutDown),
+        /// Name of a process to be started again, with a clean record; also one that was given up or has ended.
+        #[prost(string, tag = "4")]
+        Again(::prost::alloc::string::String),
+        /// Name of a process that is to end.
+        #[prost(string, tag = "5")]
+        End(::prost::alloc::string::String),
+        /// Name of a process that has ended, and is to be forgotten.
+        #[prost(string, tag = "6")]
+        Forget(::prost::alloc::string::String),
+        /// Still here; sent every 300 ms.
+        #[prost(message, tag = "7")]
+        Beat(super::KeepBeat),
+    }
+}
+/// Says who wants processes kept.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct KeepHello {
+    /// Name of the system.
+    #[prost(string, tag = "1")]
+    pub system: ::prost::alloc::string::String,
+    /// Drawn by lot by each run of `up`: the same one goes on, another one begins anew.
+    #[prost(string, tag = "2")]
+    pub run: ::prost::alloc::string::String,
+}
+/// Still here.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct KeepBeat {}
+/// An incarnation that is of no use.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct PutDown {
+    /// Name of the process.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// OS process id of the incarnation; another one stays.
+    #[prost(uint32, tag = "2")]
+    pub pid: u32,
+    /// Why, in words that follow the name of the process.
+    #[prost(string, tag = "3")]
+    pub why: ::prost::alloc::string::String,
+}
+/// A process that an agent is to keep.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct AgentProcess {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    /// Plugin files, which the agent has; empty = those of the agent's machine.
+    #[prost(message, repeated, tag = "2")]
+    pub plugins: ::prost::alloc::vec::Vec<PluginFile>,
+    /// Text of the list of hashes of the plugin files that it takes; empty = files of the agent's user and
+    /// root.
+    #[prost(string, tag = "3")]
+    pub hashes: ::prost::alloc::string::String,
+    /// Address of its own port; empty = a free one of the loopback.
+    #[prost(string, tag = "4")]
+    pub listen: ::prost::alloc::string::String,
+    /// Where it keeps its state, relative to the agent's folder of the system; empty = processes/NAME there.
+    #[prost(string, tag = "5")]
+    pub state: ::prost::alloc::string::String,
+    /// Variables of its environment.
+    #[prost(map = "string, string", tag = "6")]
+    pub env: ::std::collections::HashMap<
+        ::prost::alloc::string::String,
+        ::prost::alloc::string::String,
+    >,
+    /// When it is started again.
+    #[prost(message, optional, tag = "7")]
+    pub restart: ::core::option::Option<RestartPolicy>,
+    /// It is listed with a warning while it has more memory than this in use, MiB; 0 = never.
+    #[prost(uint32, tag = "8")]
+    pub memory_warn_mib: u32,
+    /// It gets no more memory than this, MiB; 0 = as much as there is.
+    #[prost(uint32, tag = "9")]
+    pub memory_limit_mib: u32,
+    /// Lets its components start programs; refused by an agent that was not started with --allow-exec.
+    #[prost(bool, tag = "10")]
+    pub allow_exec: bool,
+    /// Address of its GCM.
+    #[prost(string, tag = "11")]
+    pub gcm: ::prost::alloc::string::String,
+    /// The viewer's page at its port changes nothing.
+    #[prost(bool, tag = "12")]
+    pub viewer_read_only: bool,
+    /// Every user of its machine may change things at its port.
+    #[prost(bool, tag = "13")]
+    pub open_loopback: bool,
+}
+/// A plugin file of a process.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct PluginFile {
+    /// Its name, ending in .so.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    /// Hash of its contents, sha256 in 64 hexadecimal digits.
+    #[prost(string, tag = "2")]
+    pub sha256: ::prost::alloc::string::String,
+    /// Number of its directory among those of the process: two of a process may have files of one name.
+    #[prost(uint32, tag = "3")]
+    pub directory: u32,
+}
+/// When a process is started again.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct RestartPolicy {
+    /// Never; the rest does not count.
+    #[prost(bool, tag = "1")]
+    pub never: bool,
+    /// Restarts within that time, at most.
+    #[prost(uint32, tag = "2")]
+    pub max: u32,
+    /// That time.
+    #[prost(message, optional, tag = "3")]
+    pub within: ::core::option::Option<::prost_types::Duration>,
+    /// Pause before the second restart within that time; it doubles.
+    #[prost(message, optional, tag = "4")]
+    pub backoff: ::core::option::Option<::prost_types::Duration>,
+    /// Longest pause.
+    #[prost(message, optional, tag = "5")]
+    pub most_backoff: ::core::option::Option<::prost_types::Duration>,
+    /// Time from its spawn until it serves.
+    #[prost(message, optional, tag = "6")]
+    pub start_within: ::core::option::Option<::prost_types::Duration>,
+}
+/// From the agent: at once, and whenever something changes.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct KeepResponse {
+    /// Folder of the system on the agent's machine: what its processes print, and their state.
+    #[prost(string, tag = "1")]
+    pub folder: ::prost::alloc::string::String,
+    /// Status of all processes of the system that it keeps, those that have ended among them.
+    #[prost(message, repeated, tag = "2")]
+    pub statuses: ::prost::alloc::vec::Vec<KeptStatus>,
+}
+/// Status of a process that is kept.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct KeptStatus {
+    /// Name of the process.
+    #[prost(string, tag = "1")]
+    pub process: ::prost::alloc::string::String,
+    /// Its phase.
+    #[prost(enumeration = "KeptPhase", tag = "2")]
+    pub phase: i32,
+    /// OS process id of the incarnation that runs, or ended last; 0 = none yet.
+    #[prost(uint32, tag = "3")]
+    pub pid: u32,
+    /// Address of its own port; empty = none yet.
+    #[prost(string, tag = "4")]
+    pub address: ::prost::alloc::string::String,
+    /// Number of times it was spawned again.
+    #[prost(uint32, tag = "5")]
+    pub restarts: u32,
+    /// How it ended last; not set = it never did.
+    #[prost(message, optional, tag = "6")]
+    pub last_exit: ::core::option::Option<KeptExit>,
+    /// The reason why it did not start in its own words, JSON; empty = it said none.
+    #[prost(string, tag = "7")]
+    pub refused: ::prost::alloc::string::String,
+}
+/// The end of a process.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct KeptExit {
+    /// How it ended.
+    #[prost(oneof = "kept_exit::How", tags = "1, 2, 3, 4, 5, 6")]
+    pub how: ::core::option::Option<kept_exit::How>,
+}
+/// Nested message and enum types in `KeptExit`.
+pub mod kept_exit {
+    /// How it ended.
+    #[derive(Clone, PartialEq, Eq, Hash, ::prost::Oneof)]
+    pub enum How {
+        /// By itself, with this code.
+        #[prost(sint32, tag = "1")]
+        Code(i32),
+        /// It served, and said why it had to end.
+        #[prost(message, tag = "2")]
+        Broken(super::BrokenExit),
+        /// By a signal.
+        #[prost(message, tag = "3")]
+        Signal(super::SignalExit),
+        /// It never ran: why.
+        #[prost(string, tag = "4")]
+        NotStarted(::prost::alloc::string::String),
+        /// Killed by its keeper: why.
+        #[prost(string, tag = "5")]
+        Killed(::prost::alloc::string::String),
+        /// Killed by its keeper and still there: why.
+        #[prost(string, tag = "6")]
+        Stuck(::prost::alloc::string::String),
+    }
+}
+/// End of a process that served, and said why it had to end.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct BrokenExit {
+    /// Its code.
+    #[prost(sint32, tag = "1")]
+    pub code: i32,
+    /// Why.
+    #[prost(string, tag = "2")]
+    pub why: ::prost::alloc::string::String,
+}
+/// End of a process by a signal.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct SignalExit {
+    /// Number of the signal, as Linux has it.
+    #[prost(sint32, tag = "1")]
+    pub number: i32,
+    /// It left a core file.
+    #[prost(bool, tag = "2")]
+    pub core: bool,
+}
+/// Asks for Missing.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct MissingRequest {
+    /// Hashes of plugin files, sha256 in 64 hexadecimal digits each.
+    #[prost(string, repeated, tag = "1")]
+    pub sha256: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
+/// Answers Missing.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct MissingResponse {
+    /// Those that are not there.
+    #[prost(string, repeated, tag = "1")]
+    pub sha256: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+}
+/// A part of a plugin file.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct BringRequest {
+    /// Hash of the whole file, in the first message.
+    #[prost(string, tag = "1")]
+    pub sha256: ::prost::alloc::string::String,
+    /// The next bytes, 1 MiB at most.
+    #[prost(bytes = "vec", tag = "2")]
+    pub bytes: ::prost::alloc::vec::Vec<u8>,
+}
+/// Answers Bring: the file is there.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct BringResponse {}
+/// Asks for ListSystems.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct ListSystemsRequest {}
+/// Answers ListSystems.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct ListSystemsResponse {
+    /// The systems.
+    #[prost(message, repeated, tag = "1")]
+    pub systems: ::prost::alloc::vec::Vec<KeptSystem>,
+}
+/// A system of which an agent keeps processes.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct KeptSystem {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub system: ::prost::alloc::string::String,
+    /// Caller that wants them kept, or wanted them last.
+    #[prost(string, tag = "2")]
+    pub caller: ::prost::alloc::string::String,
+    /// True: that caller is heard.
+    #[prost(bool, tag = "3")]
+    pub heard: bool,
+    /// Status of its processes.
+    #[prost(message, repeated, tag = "4")]
+    pub statuses: ::prost::alloc::vec::Vec<KeptStatus>,
+}
+/// Phase in the life of a process that is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum KeptPhase {
+    /// Not set.
+    Unspecified = 0,
+    /// Spawned; it does not serve yet.
+    Starting = 1,
+    /// It serves, and is attached to its GCM.
+    Running = 2,
+    /// It failed and will be spawned again.
+    Restarting = 3,
+    /// It failed too often.
+    Failed = 4,
+    /// It ended and nobody wants it back.
+    Ended = 5,
+}
+impl KeptPhase {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "KEPT_PHASE_UNSPECIFIED",
+            Self::Starting => "KEPT_PHASE_STARTING",
+            Self::Running => "KEPT_PHASE_RUNNING",
+            Self::Restarting => "KEPT_PHASE_RESTARTING",
+            Self::Failed => "KEPT_PHASE_FAILED",
+            Self::Ended => "KEPT_PHASE_ENDED",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "KEPT_PHASE_UNSPECIFIED" => Some(Self::Unspecified),
+            "KEPT_PHASE_STARTING" => Some(Self::Starting),
+            "KEPT_PHASE_RUNNING" => Some(Self::Running),
+            "KEPT_PHASE_RESTARTING" => Some(Self::Restarting),
+            "KEPT_PHASE_FAILED" => Some(Self::Failed),
+            "KEPT_PHASE_ENDED" => Some(Self::Ended),
+            _ => None,
+        }
+    }
+}
+/// Generated client implementations.
+pub mod agent_service_client {
+    #![allow(
+        unused_variables,
+        dead_code,
+        missing_docs,
+        clippy::wildcard_imports,
+        clippy::let_unit_value,
+    )]
+    use tonic::codegen::*;
+    use tonic::codegen::http::Uri;
+    /// The service of an agent: `trocar agent`.
+    #[derive(Debug, Clone)]
+    pub struct AgentServiceClient<T> {
+        inner: tonic::client::Grpc<T>,
+    }
+    impl<T> AgentServiceClient<T>
+    where
+        T: tonic::client::GrpcService<tonic::body::Body>,
+        T::Error: Into<StdError>,
+        T::ResponseBody: Body<Data = Bytes> + std::marker::Send + 'static,
+        <T::ResponseBody as Body>::Error: Into<StdError> + std::marker::Send,
+    {
+        pub fn new(inner: T) -> Self {
+            let inner = tonic::client::Grpc::new(inner);
+            Self { inner }
+        }
+        pub fn with_origin(inner: T, origin: Uri) -> Self {
+            let inner = tonic::client::Grpc::with_origin(inner, origin);
+            Self { inner }
+        }
+        pub fn with_interceptor<F>(
+            inner: T,
+            interceptor: F,
+        ) -> AgentServiceClient<InterceptedService<T, F>>
+        where
+            F: tonic::service::Interceptor,
+            T::ResponseBody: Default,
+            T: tonic::codegen::Service<
+                http::Request<tonic::body::Body>,
+                Response = http::Response<
+                    <T as tonic::client::GrpcService<tonic::body::Body>>::ResponseBody,
+                >,
+            >,
+            <T as tonic::codegen::Service<
+                http::Request<tonic::body::Body>,
+            >>::Error: Into<StdError> + std::marker::Send + std::marker::Sync,
+        {
+            AgentServiceClient::new(InterceptedService::new(inner, interceptor))
+        }
+        /// Compress requests with the given encoding.
+        ///
+        /// This requires the server to support it otherwise it might respond with an
+        /// error.
+        #[must_use]
+        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.inner = self.inner.send_compressed(encoding);
+            self
+        }
+        /// Enable decompressing responses.
+        #[must_use]
+        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.inner = self.inner.accept_compressed(encoding);
+            self
+        }
+        /// Limits the maximum size of a decoded message.
+        ///
+        /// Default: `4MB`
+        #[must_use]
+        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
+            self.inner = self.inner.max_decoding_message_size(limit);
+            self
+        }
+        /// Limits the maximum size of an encoded message.
+        ///
+        /// Default: `usize::MAX`
+        #[must_use]
+        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
+            self.inner = self.inner.max_encoding_message_size(limit);
+            self
+        }
+        /// Keeps the processes of one system. The caller says which, and hears what becomes of them. A process
+        /// that ends is started again by the agent, by the policy that came with it, whether the caller is heard
+        /// or not. When the stream ends and the same run does not come again within 10 s, or another run of the
+        /// system comes, the processes end, devices safe first.
+        pub async fn keep(
+            &mut self,
+            request: impl tonic::IntoStreamingRequest<Message = super::KeepRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::KeepResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AgentService/Keep",
+            );
+            let mut req = request.into_streaming_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AgentService", "Keep"));
+            self.inner.streaming(req, path, codec).await
+        }
+        /// Tells which of these plugin files the agent has not.
+        pub async fn missing(
+            &mut self,
+            request: impl tonic::IntoRequest<super::MissingRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::MissingResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AgentService/Missing",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AgentService", "Missing"));
+            self.inner.unary(req, path, codec).await
+        }
+        /// Brings a plugin file. It is kept where its contents have the hash that was said.
+        pub async fn bring(
+            &mut self,
+            request: impl tonic::IntoStreamingRequest<Message = super::BringRequest>,
+        ) -> std::result::Result<tonic::Response<super::BringResponse>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AgentService/Bring",
+            );
+            let mut req = request.into_streaming_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AgentService", "Bring"));
+            self.inner.client_streaming(req, path, codec).await
+        }
+        /// Lists the systems of which it keeps processes.
+        pub async fn list_systems(
+            &mut self,
+            request: impl tonic::IntoRequest<super::ListSystemsRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::ListSystemsResponse>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/trocar.v1.AgentService/ListSystems",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("trocar.v1.AgentService", "ListSystems"));
+            self.inner.unary(req, path, codec).await
+        }
+    }
+}
+/// Generated server implementations.
+pub mod agent_service_server {
+    #![allow(
+        unused_variables,
+        dead_code,
+        missing_docs,
+        clippy::wildcard_imports,
+        clippy::let_unit_value,
+    )]
+    use tonic::codegen::*;
+    /// Generated trait containing gRPC methods that should be implemented for use with AgentServiceServer.
+    #[async_trait]
+    pub trait AgentService: std::marker::Send + std::marker::Sync + 'static {
+        /// Server streaming response type for the Keep method.
+        type KeepStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<super::KeepResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Keeps the processes of one system. The caller says which, and hears what becomes of them. A process
+        /// that ends is started again by the agent, by the policy that came with it, whether the caller is heard
+        /// or not. When the stream ends and the same run does not come again within 10 s, or another run of the
+        /// system comes, the processes end, devices safe first.
+        async fn keep(
+            &self,
+            request: tonic::Request<tonic::Streaming<super::KeepRequest>>,
+        ) -> std::result::Result<tonic::Response<Self::KeepStream>, tonic::Status>;
+        /// Tells which of these plugin files the agent has not.
+        async fn missing(
+            &self,
+            request: tonic::Request<super::MissingRequest>,
+        ) -> std::result::Result<tonic::Response<super::MissingResponse>, tonic::Status>;
+        /// Brings a plugin file. It is kept where its contents have the hash that was said.
+        async fn bring(
+            &self,
+            request: tonic::Request<tonic::Streaming<super::BringRequest>>,
+        ) -> std::result::Result<tonic::Response<super::BringResponse>, tonic::Status>;
+        /// Lists the systems of which it keeps processes.
+        async fn list_systems(
+            &self,
+            request: tonic::Request<super::ListSystemsRequest>,
+        ) -> std::result::Result<
+            tonic::Response<super::ListSystemsResponse>,
+            tonic::Status,
+        >;
+    }
+    /// The service of an agent: `trocar agent`.
+    #[derive(Debug)]
+    pub struct AgentServiceServer<T> {
+        inner: Arc<T>,
+        accept_compression_encodings: EnabledCompressionEncodings,
+        send_compression_encodings: EnabledCompressionEncodings,
+        max_decoding_message_size: Option<usize>,
+        max_encoding_message_size: Option<usize>,
+    }
+    impl<T> AgentServiceServer<T> {
+        pub fn new(inner: T) -> Self {
+            Self::from_arc(Arc::new(inner))
+        }
+        pub fn from_arc(inner: Arc<T>) -> Self {
+            Self {
+                inner,
+                accept_compression_encodings: Default::default(),
+                send_compression_encodings: Default::default(),
+                max_decoding_message_size: None,
+                max_encoding_message_size: None,
+            }
+        }
+        pub fn with_interceptor<F>(
+            inner: T,
+            interceptor: F,
+        ) -> InterceptedService<Self, F>
+        where
+            F: tonic::service::Interceptor,
+        {
+            InterceptedService::new(Self::new(inner), interceptor)
+        }
+        /// Enable decompressing requests with the given encoding.
+        #[must_use]
+        pub fn accept_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.accept_compression_encodings.enable(encoding);
+            self
+        }
+        /// Compress responses with the given encoding, if the client supports it.
+        #[must_use]
+        pub fn send_compressed(mut self, encoding: CompressionEncoding) -> Self {
+            self.send_compression_encodings.enable(encoding);
+            self
+        }
+        /// Limits the maximum size of a decoded message.
+        ///
+        /// Default: `4MB`
+        #[must_use]
+        pub fn max_decoding_message_size(mut self, limit: usize) -> Self {
+            self.max_decoding_message_size = Some(limit);
+            self
+        }
+        /// Limits the maximum size of an encoded message.
+        ///
+        /// Default: `usize::MAX`
+        #[must_use]
+        pub fn max_encoding_message_size(mut self, limit: usize) -> Self {
+            self.max_encoding_message_size = Some(limit);
+            self
+        }
+    }
+    impl<T, B> tonic::codegen::Service<http::Request<B>> for AgentServiceServer<T>
+    where
+        T: AgentService,
+        B: Body + std::marker::Send + 'static,
+        B::Error: Into<StdError> + std::marker::Send + 'static,
+    {
+        type Response = http::Response<tonic::body::Body>;
+        type Error = std::convert::Infallible;
+        type Future = BoxFuture<Self::Response, Self::Error>;
+        fn poll_ready(
+            &mut self,
+            _cx: &mut Context<'_>,
+        ) -> Poll<std::result::Result<(), Self::Error>> {
+            Poll::Ready(Ok(()))
+        }
+        fn call(&mut self, req: http::Request<B>) -> Self::Future {
+            match req.uri().path() {
+                "/trocar.v1.AgentService/Keep" => {
+                    #[allow(non_camel_case_types)]
+                    struct KeepSvc<T: AgentService>(pub Arc<T>);
+                    impl<
+                        T: AgentService,
+                    > tonic::server::StreamingService<super::KeepRequest>
+                    for KeepSvc<T> {
+                        type Response = super::KeepResponse;
+                        type ResponseStream = T::KeepStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<tonic::Streaming<super::KeepRequest>>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AgentService>::keep(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = KeepSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.AgentService/Missing" => {
+                    #[allow(non_camel_case_types)]
+                    struct MissingSvc<T: AgentService>(pub Arc<T>);
+                    impl<
+                        T: AgentService,
+                    > tonic::server::UnaryService<super::MissingRequest>
+                    for MissingSvc<T> {
+                        type Response = super::MissingResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::MissingRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AgentService>::missing(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = MissingSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.AgentService/Bring" => {
+                    #[allow(non_camel_case_types)]
+                    struct BringSvc<T: AgentService>(pub Arc<T>);
+                    impl<
+                        T: AgentService,
+                    > tonic::server::ClientStreamingService<super::BringRequest>
+                    for BringSvc<T> {
+                        type Response = super::BringResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<
+                                tonic::Streaming<super::BringRequest>,
+                            >,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AgentService>::bring(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = BringSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.client_streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/trocar.v1.AgentService/ListSystems" => {
+                    #[allow(non_camel_case_types)]
+                    struct ListSystemsSvc<T: AgentService>(pub Arc<T>);
+                    impl<
+                        T: AgentService,
+                    > tonic::server::UnaryService<super::ListSystemsRequest>
+                    for ListSystemsSvc<T> {
+                        type Response = super::ListSystemsResponse;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::ListSystemsRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as AgentService>::list_systems(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = ListSystemsSvc(inner);
+                        let codec = tonic_prost::ProstCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                _ => {
+                    Box::pin(async move {
+                        let mut response = http::Response::new(
+                            tonic::body::Body::default(),
+                        );
+                        let headers = response.headers_mut();
+                        headers
+                            .insert(
+                                tonic::Status::GRPC_STATUS,
+                                (tonic::Code::Unimplemented as i32).into(),
+                            );
+                        headers
+                            .insert(
+                                http::header::CONTENT_TYPE,
+                                tonic::metadata::GRPC_CONTENT_TYPE,
+                            );
+                        Ok(response)
+                    })
+                }
+            }
+        }
+    }
+    impl<T> Clone for AgentServiceServer<T> {
+        fn clone(&self) -> Self {
+            let inner = self.inner.clone();
+            Self {
+                inner,
+                accept_compression_encodings: self.accept_compression_encodings,
+                send_compression_encodings: self.send_compression_encodings,
+                max_decoding_message_size: self.max_decoding_message_size,
+                max_encoding_message_size: self.max_encoding_message_size,
+            }
+        }
+    }
+    /// Generated gRPC service name
+    pub const SERVICE_NAME: &str = "trocar.v1.AgentService";
+    impl<T> tonic::server::NamedService for AgentServiceServer<T> {
+        const NAME: &'static str = SERVICE_NAME;
+    }
+}

@@ -32,6 +32,7 @@ const NOT_YET: &[(&str, &str)] = &[
     ("PROCESS_LOST", "it needs a killed process: deployment.rs"),
     ("STOP_NOT_TOLD", "it needs a process that stands still: processes/stopping.rs"),
     ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
+    ("SYSTEM_KEPT", "it needs an agent: machines/agents.rs"),
     ("NOT_SUPERVISED", "it needs a class that is there: processes/isolated.rs"),
     ("PROCESS_NOT_UP", "it needs a process that cannot come up: processes/isolated.rs"),
     ("MANAGED_ELSEWHERE", "it needs a host with another manager: deployment.rs"),

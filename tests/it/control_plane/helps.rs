@@ -33,6 +33,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("READ_ONLY", "only a browser's page meets it: tests/viewer/forms.mjs"),
     ("NO_MEMORY", "it needs frames that no machine has the memory for: changing_ports.rs"),
     ("NO_THREAD", "it needs a machine that is out of threads"),
+    ("SYSTEM_KEPT", "it needs an agent: machines/agents.rs"),
     ("UNREACHABLE", "it needs processes of other users or machines: hostile/elsewhere.rs"),
     ("REPLACED", "its help says that nothing is to be done; errors.rs meets it"),
     ("QUEUE_FULL", "its help is to wait; errors.rs fills a queue that nobody empties"),

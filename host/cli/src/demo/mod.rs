@@ -145,9 +145,9 @@ async fn in_one(file: &SystemFile, plugins: Vec<PathBuf>, listen: String, show: 
 async fn in_several(file: &SystemFile, plugins: &[PathBuf], listen: &str, show: &Show<'_>) -> Done {
     let mut stop = StopRequest::listen();
     let state = StateDir::open(&StateChoice::Ephemeral, false)?;
-    let gcm = programs::gcm(listen, state.path(), show.port);
+    let gcm = programs::gcm(listen, state.path(), show.port, None);
     let launch = Launch::new(file, Path::new("demo.json"), plugins, state.path(), show.port);
-    let mut system = System::new(up::Gcm::Own(Box::new(gcm)), launch);
+    let mut system = System::of_this_machine(up::Gcm::Own(Box::new(gcm)), launch)?;
     let came_up = tokio::select! {
         came_up = system.come_up(file) => Some(came_up),
         () = stop.asked() => None,

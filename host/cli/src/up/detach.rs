@@ -110,6 +110,10 @@ fn again(args: &UpArgs, gcm: Option<&str>) -> Vec<OsString> {
     args.named.system.sets.iter().for_each(|set| give("set", set.into()));
     args.named.plugins.iter().for_each(|dir| give("plugins", dir.into()));
     args.name.iter().for_each(|name| give("name", name.as_str().into()));
+    let machines = &args.machines;
+    machines.listen_tls.iter().for_each(|addr| give("listen-tls", addr.into()));
+    machines.revoked.iter().for_each(|file| give("revoked", file.into()));
+    crate::session::identity().into_iter().for_each(|file| give("identity", file.into()));
     gcm.into_iter().for_each(|addr| give("gcm", addr.into()));
     all.extend(args.port.flags().map(Into::into));
     all.push("--".into());

@@ -11,7 +11,6 @@ use std::time::Duration;
 use trocar_model::Name;
 
 use super::System;
-use super::programs::under;
 use crate::session::Session;
 use trocar::gcm::{Fate, Isolated, Supervisor, Told};
 use trocar::processes::{Phase, Status};
@@ -46,13 +45,13 @@ impl System {
 
     /// Follows the GCM's list for as long as the GCM is heard.
     async fn listen(&self, session: &Session, wishes: &mut Wishes) -> Result<(), crate::failure::Failure> {
-        let processes = self.hosts.iter().filter_map(|host| Name::parse(&host.name).ok()).collect();
+        let processes = self.hosts.iter().filter_map(|host| Name::parse(host.name()).ok()).collect();
         let who = Supervisor { processes, isolated: wishes.wanted.clone(), term: wishes.term };
         let mut lists = session.supervise(&who).await?;
         let mut statuses = self.supervisor.statuses();
         loop {
             let now = statuses.borrow_and_update().clone();
-            wishes.settle(self, &now, &session.address());
+            wishes.settle(self, &now);
             if !wishes.gone.is_empty() {
                 session.tell(&wishes.gone).await?;
                 wishes.gone.clear();
@@ -75,7 +74,7 @@ impl System {
 
 impl Wishes {
     /// Forgets processes that have ended, asks unwanted ones to end, and makes missing ones.
-    fn settle(&mut self, system: &System, statuses: &BTreeMap<String, Status>, gcm: &str) {
+    fn settle(&mut self, system: &System, statuses: &BTreeMap<String, Status>) {
         let kept: Vec<String> = system.isolated.borrow().keys().cloned().collect();
         for name in kept {
             if self.wanted.iter().any(|isolated| isolated.process.as_str() == name) {
@@ -99,7 +98,7 @@ impl Wishes {
             }
             match system.launch.isolated(&isolated.process, &isolated.home) {
                 Some(program) => {
-                    let program = under(program, gcm);
+                    let program = system.under_gcm(program);
                     system.isolated.send_modify(|all| _ = all.insert(name.to_owned(), program.clone()));
                     system.supervisor.start(program);
                 }

@@ -16,6 +16,7 @@ use super::standing::Standing;
 use super::telling::Voice;
 use super::useless::{self, Patience};
 use crate::session::Session;
+use trocar::processes::Unheard;
 use trocar::system_file::SystemFile;
 
 /// Pause before a question about a process that could not be answered is asked again.
@@ -66,12 +67,21 @@ impl System {
         let mut patience = Patience::default();
         loop {
             let (now, stands) = (statuses.borrow_and_update().clone(), standing.borrow_and_update().clone());
-            let policies = {
+            let all: BTreeMap<String, Unheard> = {
                 let isolated = self.isolated.borrow();
                 let all = self.hosts.iter().chain(isolated.values());
-                all.map(|h| (h.name.clone(), h.policy.unheard())).collect()
+                all.map(|h| (h.name().to_owned(), h.policy().unheard())).collect()
             };
+            // A network that was cut a moment ago is no fault of a process.
+            let is_judged = |name: &String, policy: Unheard| {
+                policy.limit(false).is_none_or(|limit| self.supervisor.is_heard_for(name, limit))
+            };
+            let (policies, later): (BTreeMap<_, _>, BTreeMap<_, _>) =
+                all.into_iter().partition(|(name, policy)| is_judged(name, *policy));
             let (over, mut next) = patience.look(&now, &stands, &policies, Instant::now());
+            if !later.is_empty() {
+                next = next.into_iter().chain([Instant::now() + ASK_AGAIN]).min();
+            }
             if !over.is_empty() {
                 // The state heard last may be old: a GCM that stands still says nothing new.
                 let fresh = session.standing().await.map(|listed| Standing::of(stands.term, listed));

@@ -5,9 +5,11 @@
 
 mod detach;
 mod fill;
+mod fleet;
 mod isolated;
 mod keep;
 mod last_seen;
+mod machines;
 mod mend;
 mod news;
 pub(super) mod programs;
@@ -25,7 +27,8 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use trocar_model::Name;
 
-use self::programs::{GCM, Launch, Roster, called, under};
+use self::fleet::{Fleet, Hosted};
+use self::programs::{GCM, Launch, Reached, Roster, called};
 use self::standing::Standing;
 use self::telling::{Up, Voice};
 use super::failure::{Done, Exit, Failure};
@@ -35,7 +38,7 @@ use super::view::SystemView;
 use super::{check, hosting, logging};
 use trocar::gcm::{Fate, Told};
 use trocar::host::{HostError, StateChoice, StateDir, StopRequest, state_home};
-use trocar::processes::{Door, Phase, Program, Status, Supervisor, keep_short};
+use trocar::processes::{Door, Phase, Program, Status, keep_short};
 use trocar::system_file::SystemFile;
 
 /// Time that a whole system may take to come up.
@@ -51,6 +54,8 @@ pub(super) struct UpArgs {
     /// Address of the system's own GCM; port 0 takes a free one. With --gcm there is none.
     #[arg(long, default_value = session::DEFAULT_GCM, value_name = "ADDR")]
     listen: String,
+    #[command(flatten)]
+    machines: hosting::MachineArgs,
     /// What `trocar down` calls it [default: the file's name without its extension].
     #[arg(long, value_parser = hosting::name)]
     name: Option<Name>,
@@ -78,11 +83,15 @@ pub(super) enum Gcm {
 pub(super) struct System {
     gcm: Gcm,
     launch: Launch,
+    /// The way by which other machines reach its own GCM.
+    reached: Option<Reached>,
+    /// Address of the GCM for its processes, once there is one.
+    told: String,
     /// Processes of the file.
-    hosts: Vec<Program>,
+    hosts: Vec<Hosted>,
     /// Processes of components that were isolated since.
     isolated: watch::Sender<Roster>,
-    supervisor: Supervisor,
+    supervisor: Fleet,
     /// Session with its GCM, once there is one.
     session: Option<Session>,
     standing: watch::Receiver<Arc<Standing>>,
@@ -102,6 +111,7 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     }
     logging::install(log::LevelFilter::Warn);
     let file = read(&args)?;
+    let reached = machines::reached(&file, &args.machines, session)?;
     let mut stop = StopRequest::listen();
     if args.detached {
         stop.tie_until_heard().map_err(|e| HostError::Threads { because: e.to_string() })?;
@@ -111,10 +121,14 @@ pub(super) async fn run(args: UpArgs, session: &Session) -> Done {
     let mut door = Door::open(state.path()).map_err(|e| no_door(state.path(), &e))?;
     let gcm = match session.explicit_gcm() {
         Some(addr) => Gcm::Of(addr.to_owned()),
-        None => Gcm::Own(Box::new(programs::gcm(&args.listen, state.path(), args.port))),
+        None => {
+            let own = programs::gcm(&args.listen, state.path(), args.port, reached.as_ref());
+            Gcm::Own(Box::new(own))
+        }
     };
     let launch = Launch::new(&file, &args.named.system.file, &args.named.plugins, state.path(), args.port);
-    let mut system = System::new(gcm, launch);
+    let fleet = Fleet::new(&file.machines, &name, args.machines.revoked.as_deref())?;
+    let mut system = System::new(gcm, launch, reached, fleet);
     let voice = Voice::new(&name, session.json(), args.detached);
     let mut asker: Option<UnixStream> = None;
     let own_log = detach::log(state.path());
@@ -206,13 +220,19 @@ pub(super) fn directory(name: &str) -> PathBuf {
 }
 
 impl System {
-    pub(super) fn new(gcm: Gcm, launch: Launch) -> System {
+    pub(super) fn of_this_machine(gcm: Gcm, launch: Launch) -> Result<System, Failure> {
+        Ok(System::new(gcm, launch, None, Fleet::new(&[], "", None)?))
+    }
+
+    fn new(gcm: Gcm, launch: Launch, reached: Option<Reached>, supervisor: Fleet) -> System {
         System {
             gcm,
+            reached,
+            told: String::new(),
             hosts: launch.hosts(),
             launch,
             isolated: watch::Sender::default(),
-            supervisor: Supervisor::default(),
+            supervisor,
             session: None,
             // No GCM is heard yet.
             standing: watch::channel(Arc::default()).1,
@@ -232,13 +252,16 @@ impl System {
 
     /// Starts its processes, and makes the components of the file in them.
     pub(super) async fn come_up(&mut self, file: &SystemFile) -> Result<Up, Failure> {
+        self.supervisor.reached().await?;
         let addr = match &self.gcm {
             Gcm::Of(addr) => addr.clone(),
             Gcm::Own(program) => {
-                self.supervisor.start(program.as_ref().clone());
+                self.supervisor.start(Hosted::Here(program.clone()));
                 self.in_time(&[GCM.to_owned()]).await?.unwrap_or_default()
             }
         };
+        let afar = self.reached.as_ref().map(|reached| format!("https://{}", reached.listen));
+        self.told = afar.unwrap_or_else(|| addr.clone());
         let names = self.names();
         let session = self.session.insert(Session::new(Some(addr.clone()), false));
         // The GCM must be there now: a process that is told to wait for it waits for ever.
@@ -253,7 +276,7 @@ impl System {
         self.standing = standing;
         self.talking = vec![telling::keep_told(&addr, self.supervisor.statuses()), following];
         for host in &self.hosts {
-            self.supervisor.start(under(host.clone(), &addr));
+            self.supervisor.start(self.under_gcm(host.clone()));
         }
         self.in_time(&names).await?;
         let fill::Filled { standing, warnings, waiting } = self.fill(file, &names).await?;
@@ -263,14 +286,21 @@ impl System {
         // A process that ends in this moment is mended later.
         let _ = tokio::time::timeout(STOP, self.standing.wait_for(whole)).await;
         self.is_up = true;
-        let place = self.hosts.first().and_then(|h| h.output.parent()).unwrap_or(Path::new("")).to_owned();
-        Ok(Up { addr, warnings, standing, waiting, place })
+        let place = self.hosts.iter().find_map(|host| host.output()?.parent().map(Path::to_owned));
+        let elsewhere = self.supervisor.folders();
+        Ok(Up { addr, warnings, standing, waiting, place, elsewhere })
+    }
+
+    /// A process of this system, under its GCM.
+    fn under_gcm(&self, host: Hosted) -> Hosted {
+        let revoked = self.reached.as_ref().and_then(|reached| reached.revoked.as_deref());
+        host.under(&self.told, revoked)
     }
 
     /// Returns the names of all its processes but its GCM.
     fn names(&self) -> Vec<String> {
         let isolated = self.isolated.borrow();
-        self.hosts.iter().chain(isolated.values()).map(|host| host.name.clone()).collect()
+        self.hosts.iter().chain(isolated.values()).map(|host| host.name().to_owned()).collect()
     }
 
     /// Waits until these serve, for as long as a system may take; returns the address of the last one.
@@ -322,13 +352,22 @@ impl System {
 
     /// Tells which logs to look into.
     fn logs(&self, name: &str) -> String {
-        let own = match &self.gcm {
-            Gcm::Own(program) => Some(&**program),
-            Gcm::Of(_) => None,
+        let isolated = self.isolated.borrow();
+        let host = self.hosts.iter().chain(isolated.values()).find(|host| host.name() == name);
+        let printed = match (host, &self.gcm) {
+            (Some(Hosted::Here(program)), _) => {
+                format!("; what it printed is in {}", program.output.display())
+            }
+            (Some(Hosted::There { machine, .. }), _) => {
+                let folders = self.supervisor.folders();
+                let folder = folders.iter().find(|(of, _)| of == machine).map_or("", |(_, folder)| folder);
+                format!("; what it printed is in {folder}/{name}.output.log on the machine {machine}")
+            }
+            (None, Gcm::Own(program)) if name == GCM => {
+                format!("; what it printed is in {}", program.output.display())
+            }
+            (None, _) => String::new(),
         };
-        let program = self.hosts.iter().chain(own).find(|p| p.name == name);
-        let printed =
-            program.map_or(String::new(), |p| format!("; what it printed is in {}", p.output.display()));
         format!("look into its log: trocar.log in its state directory{printed}")
     }
 

@@ -9,10 +9,12 @@ use std::time::Duration;
 
 use trocar_model::{ComponentId, Name};
 
+use super::fleet::{Hosted, absolute as all_absolute};
 use crate::hosting::{self, PortArgs};
 use crate::session;
+use trocar::control::ToKeep;
 use trocar::processes::{Limits, Policy, Program};
-use trocar::system_file::{ProcessSpec, SystemFile, TrustSpec};
+use trocar::system_file::{Place, ProcessSpec, SystemFile, TrustSpec};
 
 /// Supervisor's name of the GCM; no process can have it.
 pub(super) const GCM: &str = ":gcm";
@@ -22,20 +24,11 @@ const GCM_LIMITS: Limits =
     Limits { max: u32::MAX, most_backoff: Duration::from_millis(200), ..Limits::DEFAULT };
 
 /// Processes kept for isolated components, by name.
-pub(super) type Roster = BTreeMap<String, Program>;
+pub(super) type Roster = BTreeMap<String, Hosted>;
 
 /// A process as people call it.
 pub(super) fn called(name: &str) -> &str {
     if name == GCM { "the GCM" } else { name }
-}
-
-/// Returns a host that attaches to the GCM at this address.
-pub(super) fn under(mut host: Program, addr: &str) -> Program {
-    host.args.extend(["--gcm".into(), addr.into()]);
-    if let Some(identity) = session::identity() {
-        host.args.extend(["--identity".into(), identity.into()]);
-    }
-    host
 }
 
 fn absolute(path: &Path) -> PathBuf {
@@ -50,10 +43,26 @@ fn output(state: &Path, process: Option<&str>) -> PathBuf {
     })
 }
 
-pub(crate) fn gcm(listen: &str, state: &Path, port: PortArgs) -> Program {
+/// The way by which other machines reach the GCM of a system.
+#[derive(Clone, Debug)]
+pub(crate) struct Reached {
+    /// Address and port for them.
+    pub(crate) listen: String,
+    /// Certificates that are believed no more.
+    pub(crate) revoked: Option<PathBuf>,
+}
+
+pub(crate) fn gcm(listen: &str, state: &Path, port: PortArgs, reached: Option<&Reached>) -> Program {
     let mut args: Vec<OsString> =
         ["gcm".into(), "--state".into(), absolute(&state.join("gcm")).into()].into();
     args.extend(port.flags().map(Into::into));
+    if let Some(Reached { listen, revoked }) = reached {
+        args.extend(["--listen-tls".into(), listen.into()]);
+        let files = [("--identity", session::identity()), ("--revoked", revoked.clone())];
+        for (option, file) in files {
+            args.extend(file.into_iter().flat_map(|file| [option.into(), file.into()]));
+        }
+    }
     Program {
         name: GCM.to_owned(),
         args,
@@ -91,57 +100,51 @@ impl Launch {
         Launch { processes, base, plugins, state, port }
     }
 
-    pub(super) fn hosts(&self) -> Vec<Program> {
+    pub(super) fn hosts(&self) -> Vec<Hosted> {
         self.processes.iter().map(|process| self.host(process)).collect()
     }
 
     /// Returns the program for an isolated component, made like `home`; `None`: `home` is no
     /// process of the file.
-    pub(super) fn isolated(&self, process: &Name, home: &Name) -> Option<Program> {
+    pub(super) fn isolated(&self, process: &Name, home: &Name) -> Option<Hosted> {
         let home = self.processes.iter().find(|p| p.name == *home)?;
         let component = process.as_str().strip_prefix(home.name.as_str())?.strip_prefix('.')?;
         let lives = ComponentId::new(process.clone(), Name::parse(component).ok()?);
         Some(self.host(&home.isolated(&lives)))
     }
 
-    fn host(&self, process: &ProcessSpec) -> Program {
-        let mut program = host(process, &self.base, &self.plugins, &self.state);
-        program.args.extend(self.port.flags().map(Into::into));
-        program
-    }
-}
-
-fn host(process: &ProcessSpec, base: &Path, plugins: &[PathBuf], state: &Path) -> Program {
-    let name = process.name.as_str();
-    let output = output(state, Some(name));
-    let state = match &process.state {
-        Some(dir) => base.join(dir),
-        None => absolute(&state.join("processes").join(name)),
-    };
-    let mut args: Vec<OsString> = ["host", "--name", name, "--state"].map(OsString::from).into();
-    args.push(state.into());
-    for dir in hosting::plugins_of(process, base, plugins.to_vec()) {
-        args.extend(["--plugins".into(), absolute(&dir).into()]);
-    }
-    if let TrustSpec::AllowList(list) = &process.trust {
-        let mut trust = OsString::from("allowlist:");
-        trust.push(base.join(list));
-        args.extend(["--trust".into(), trust]);
-    }
-    args.extend(process.allow_exec.then(|| "--allow-exec".into()));
-    let bounds = [("--memory-warn", process.memory.warn_mib), ("--memory-limit", process.memory.limit_mib)];
-    for (option, mib) in bounds {
-        args.extend(mib.into_iter().flat_map(|mib| [option.into(), mib.to_string().into()]));
-    }
-    Program {
-        name: name.to_owned(),
-        args,
-        listen: process.listen.clone().unwrap_or_else(|| "127.0.0.1:0".to_owned()),
-        stays: false,
-        env: process.env.clone(),
-        // Paths in configurations are relative to the file, too.
-        folder: Some(base.to_owned()),
-        output,
-        policy: process.restart,
+    fn host(&self, process: &ProcessSpec) -> Hosted {
+        let rules = self.port.rules();
+        let hashes = match &process.trust {
+            TrustSpec::Dev => None,
+            TrustSpec::AllowList(list) => Some(self.base.join(list)),
+        };
+        match &process.machine {
+            None => {
+                let name = process.name.as_str();
+                let state = match &process.state {
+                    Some(dir) => self.base.join(dir),
+                    None => absolute(&self.state.join("processes").join(name)),
+                };
+                let place = Place {
+                    plugins: all_absolute(hosting::plugins_of(process, &self.base, self.plugins.clone())),
+                    hashes,
+                    state,
+                    // Paths in configurations are relative to the file, too.
+                    folder: self.base.clone(),
+                    output: output(&self.state, Some(name)),
+                    rules,
+                };
+                Hosted::Here(Box::new(process.program(place)))
+            }
+            Some(machine) => {
+                let own: Vec<PathBuf> = process.plugins.iter().map(|dir| self.base.join(dir)).collect();
+                let plugins = if self.plugins.is_empty() { own } else { self.plugins.clone() };
+                let (spec, plugins) = (process.clone(), all_absolute(plugins));
+                // Its GCM is named when there is one.
+                let process = Box::new(ToKeep { spec, plugins, hashes, gcm: String::new(), rules });
+                Hosted::There { machine: machine.to_string(), process }
+            }
+        }
     }
 }

@@ -80,8 +80,10 @@ pub(crate) struct Up {
     pub(super) standing: SystemView,
     /// Components that were not started, since their processes crashed while the system came up.
     pub(super) waiting: BTreeSet<ComponentId>,
-    /// Directory with the output of its processes.
-    pub(super) place: PathBuf,
+    /// Directory with the output of its processes here, where there is one.
+    pub(super) place: Option<PathBuf>,
+    /// Machines on which agents keep processes, and the directory with the output of each.
+    pub(super) elsewhere: Vec<(String, String)>,
 }
 
 impl Up {
@@ -174,7 +176,12 @@ impl Voice {
             self.complain("warning", &format!("{path} does not run, it is {stands}"));
         }
         self.line(&format!("  viewer {}", hosting::viewer(gcm)));
-        self.line(&format!("  what they print goes to {}", up.place.display()));
+        if let Some(place) = &up.place {
+            self.line(&format!("  what they print goes to {}", place.display()));
+        }
+        for (machine, folder) in &up.elsewhere {
+            self.line(&format!("  on the machine {machine} to {folder}"));
+        }
         self.line("  Ctrl-C takes it down, devices safe first");
     }
 

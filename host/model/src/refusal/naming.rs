@@ -115,6 +115,18 @@ macro_rules! naming {
         example: NotSupervised { process: name("host"), known: vec![name("gui")] },
     }
 
+    /// An agent keeps processes of the system for somebody who is heard.
+    SystemKept { system: Name, caller: String } => {
+        code: AlreadyExists, reason: "SYSTEM_KEPT",
+        sentence: format!("the agent keeps processes of the system `{system}` already, for {}", brief(caller)),
+        help: format!(
+            "Take that one down where it was brought up (`trocar down {system}`), or bring yours up under \
+             another name: `trocar up FILE --name NAME`."
+        ),
+        metadata: put("system", system).put("caller", caller),
+        example: SystemKept { system: name("bscan"), caller: "gcm or1 at 10.0.0.1:40112".into() },
+    }
+
     /// A process that was to be made for a component.
     ProcessNotUp { process: Name, why: String } => {
         code: Unavailable, reason: "PROCESS_NOT_UP",

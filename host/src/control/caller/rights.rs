@@ -24,7 +24,11 @@ pub(super) enum Right {
 }
 
 /// All methods there are.
-const METHODS: [(&str, Right); 45] = [
+const METHODS: [(&str, Right); 49] = [
+    ("/trocar.v1.AgentService/Bring", Right::Administers),
+    ("/trocar.v1.AgentService/Keep", Right::Administers),
+    ("/trocar.v1.AgentService/ListSystems", Right::Reads),
+    ("/trocar.v1.AgentService/Missing", Right::Administers),
     ("/trocar.v1.AttachService/Attach", Right::Attaches),
     ("/trocar.v1.AttachService/Feed", Right::Attaches),
     ("/trocar.v1.AttachService/Supervise", Right::Attaches),

@@ -43,6 +43,13 @@ pub(super) fn with_page(services: Routes, edge: Option<Edge>, access: Access) ->
     all.layer(from_fn_with_state(access, known)).layer(from_fn(guard::guard)).into()
 }
 
+/// Joins the services, behind the guard of their rights.
+pub(super) fn without_page(services: Routes, access: Access) -> Routes {
+    let access = Arc::new(access);
+    let services = services.into_axum_router().layer(from_fn_with_state(access.clone(), only_reads));
+    services.layer(from_fn_with_state(access, known)).layer(from_fn(guard::guard)).into()
+}
+
 /// gRPC keeps its own answer to unknown paths; other callers are told what exists.
 async fn nothing_there(request: Request<Body>) -> Response {
     if is_grpc(request.headers()) {

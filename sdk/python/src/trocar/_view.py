@@ -33,7 +33,7 @@ def as_html(rec: Any) -> str:
 
 def _head(rec: Any) -> str:
     begin = rec.begin
-    parts = [counted(len(rec), 'topic'), f"{rec.duration_s:.3f} s"]
+    parts = [counted(len(rec), "topic"), f"{rec.duration_s:.3f} s"]
     parts += [begin.strftime("%Y-%m-%d %H:%M:%S UTC")] if begin is not None else []
     if rec.losses.told:
         parts.append(f"{rec.losses.lost} lost" + (f", {rec.losses.interrupted} interruptions" if rec.losses.interrupted else ""))
