@@ -116,7 +116,7 @@ impl Agent {
     }
 
     /// Lets a system go whose caller has hung up, unless it comes again in time.
-    fn hung_up(&self, kept: Arc<System>) {
+    fn hung_up(&self, kept: Arc<System>, seat: u64) {
         let inner = self.inner.clone();
         tokio::spawn(async move {
             if kept.has_processes() {
@@ -126,7 +126,7 @@ impl Agent {
             let slots: Vec<Slot> = inner.systems.lock().values().cloned().collect();
             for slot in slots {
                 let mut there = slot.lock().await;
-                if there.as_ref().is_some_and(|now| Arc::ptr_eq(now, &kept)) && !kept.has_caller() {
+                if there.as_ref().is_some_and(|now| Arc::ptr_eq(now, &kept)) && kept.is_left_by(seat) {
                     kept.end().await;
                     *there = None;
                 }

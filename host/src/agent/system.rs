@@ -68,7 +68,7 @@ impl System {
         let mut caller = self.caller.lock();
         let seat = caller.seat + 1;
         *caller = Caller { name, seat, is_there: true, heard: Instant::now() };
-        Seat { agent, system: self.clone(), number: seat }
+        Seat { agent, system: self.clone(), number: seat, hangs_up: true }
     }
 
     /// Checks that another run may take the place of this one.
@@ -83,8 +83,10 @@ impl System {
         }
     }
 
-    pub(super) fn has_caller(&self) -> bool {
-        self.caller.lock().is_there
+    /// Tells whether the caller with this seat was the last one.
+    pub(super) fn is_left_by(&self, seat: u64) -> bool {
+        let caller = self.caller.lock();
+        caller.seat == seat && !caller.is_there
     }
 
     /// Tells whether a process of it runs, or is to run again.
@@ -157,14 +159,22 @@ impl System {
     }
 }
 
-/// The seat of a caller: what it orders, and what becomes of it. Dropped, the caller has hung up.
+/// The seat of a caller: what it orders, and what becomes of it. Dropped, the caller has hung up, unless it
+/// stays.
 pub struct Seat {
     agent: Agent,
     system: Arc<System>,
     number: u64,
+    /// Dropping it means that its caller has hung up.
+    hangs_up: bool,
 }
 
 impl Seat {
+    /// Leaves the system as it is: its caller cannot be heard, and may be there.
+    pub fn stays(mut self) {
+        self.hangs_up = false;
+    }
+
     /// Folder of the system: what its processes print, and their state.
     pub fn folder(&self) -> &Path {
         self.system.folder()
@@ -231,12 +241,12 @@ impl Drop for Seat {
     fn drop(&mut self) {
         {
             let mut caller = self.system.caller.lock();
-            if caller.seat != self.number {
+            if caller.seat != self.number || !self.hangs_up {
                 return;
             }
             caller.is_there = false;
         }
-        self.agent.hung_up(self.system.clone());
+        self.agent.hung_up(self.system.clone(), self.number);
     }
 }
 

@@ -22,6 +22,9 @@ use super::text;
 /// Time for one connection to another process, which may end in the middle of it.
 const LINKED: Duration = Duration::from_secs(2);
 
+/// Time for a session to end here that its process has ended.
+const GONE: Duration = Duration::from_secs(2);
+
 /// Components that do not come back, and what is to be said about them.
 #[derive(Default)]
 struct Away {
@@ -178,6 +181,12 @@ impl Gcm {
                 () = self.gone(process, session) => return None,
                 done = carrying.one_of(change, decision, deadline) => done,
             };
+            // The process says that this session is over, before that was noticed here: it comes again.
+            if let Err(Refusal::ProcessLost { process: lost, .. }) = &done
+                && lost == process
+            {
+                let _ = tokio::time::timeout(GONE, self.gone(process, session)).await;
+            }
             match done {
                 Ok(_)
                     if is_made(change) && to_start.contains(id_of(change)) && self.is_as_decided(change) =>

@@ -134,6 +134,7 @@ impl Fleet {
                 let within = if why.is_empty() { TAKEN_IN } else { REACHED };
                 // The sender lives as long as this.
                 if tokio::time::timeout_at(begun + within, seen.changed()).await.is_err() {
+                    let why = if why.is_empty() { "it does not answer" } else { &why };
                     return Err(Failure::local(
                         "NO_AGENT",
                         format!(

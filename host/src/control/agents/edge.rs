@@ -56,7 +56,8 @@ impl AgentService for AgentEdge {
         &self,
         request: Request<Streaming<v1::KeepRequest>>,
     ) -> Result<Response<Self::KeepStream>, Status> {
-        let caller = request.extensions().get::<Peer>().map_or_else(|| "somebody".into(), Peer::to_string);
+        let peer = request.extensions().get::<Peer>().cloned();
+        let caller = peer.as_ref().map_or_else(|| "somebody".into(), Peer::to_string);
         let mut inbound = request.into_inner();
         let first = tokio::time::timeout(HELLO, inbound.next()).await;
         let Ok(Some(Ok(v1::KeepRequest { message: Some(Message::Hello(hello)) }))) = first else {
@@ -69,7 +70,7 @@ impl AgentService for AgentEdge {
         log::info!(target: "audit", "{caller} has processes of the system {system} kept");
         let seat = self.agent.take_in(system, &hello.run, caller).await.map_err(refuse)?;
         let (out, answers) = mpsc::channel(1);
-        tokio::spawn(keep(seat, inbound, out, self.open.clone()));
+        tokio::spawn(keep(seat, peer, inbound, out, self.open.clone()));
         Ok(Response::new(ReceiverStream::new(answers)))
     }
 
@@ -117,6 +118,7 @@ impl AgentService for AgentEdge {
 /// Does what the caller orders, and tells it what becomes of its processes.
 async fn keep(
     seat: Seat,
+    peer: Option<Peer>,
     mut inbound: Streaming<v1::KeepRequest>,
     out: mpsc::Sender<Result<v1::KeepResponse, Status>>,
     mut open: watch::Receiver<()>,
@@ -135,7 +137,10 @@ async fn keep(
                 is_news = false;
             }
             said = inbound.next() => {
-                let Some(Ok(v1::KeepRequest { message: Some(message) })) = said else { return };
+                let Some(Ok(v1::KeepRequest { message: Some(message) })) = said else {
+                    // A network that gave up has not hung up for the caller.
+                    return if peer.is_some_and(|peer| peer.is_cut()) { seat.stays() };
+                };
                 if !seat.beat() {
                     return;
                 }

@@ -93,8 +93,7 @@ impl Reach {
     /// lot by this program.
     pub fn begin(dialler: Dialler, addr: String, system: String, run: String) -> Reach {
         let (asks, asked) = mpsc::unbounded_channel();
-        let seen =
-            Arc::new(watch::Sender::new(Seen { why: "it was not called yet".into(), ..Seen::default() }));
+        let seen = Arc::new(watch::Sender::new(Seen::default()));
         let way = Way { dialler, addr, hello: v1::KeepHello { system, run } };
         let keeping = Keeping { way, asked, seen: seen.clone(), wanted: BTreeMap::new() };
         Reach { asks, seen, task: tokio::spawn(keeping.go_on()) }
@@ -410,7 +409,9 @@ impl Keeping {
                 kept.restarts = before.get(name).map_or(0, |status| status.restarts) + 1;
             }
             kept.is_there = known.is_some();
-            let status = known.cloned().or_else(|| kept.failed.clone()).unwrap_or_default();
+            // One that was never started there has nothing to end.
+            let never = kept.is_leaving.then(|| Status { phase: Phase::Ended, ..Status::default() });
+            let status = known.cloned().or(never).or_else(|| kept.failed.clone()).unwrap_or_default();
             statuses.insert(name.clone(), Status { restarts: status.restarts + kept.restarts, ..status });
         }
         self.seen.send_if_modified(|seen| {

@@ -279,7 +279,7 @@ mod tests {
     }
 
     fn peer(uid: Option<u32>) -> Peer {
-        Peer { from: From::Address(([127, 0, 0, 1], 4242).into()), uid, holder: None }
+        Peer { from: From::Address(([127, 0, 0, 1], 4242).into()), uid, holder: None, is_cut: Arc::default() }
     }
 
     const LIST: &str = "/trocar.v1.GcmService/List";

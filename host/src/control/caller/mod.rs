@@ -13,6 +13,7 @@ use std::fmt;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::io::Errno;
 use tokio::net::{TcpStream, UnixStream};
@@ -32,6 +33,8 @@ pub(crate) struct Peer {
     uid: Option<u32>,
     /// By its certificate, which it has shown where it comes from beyond the loopback.
     holder: Option<Arc<Holder>>,
+    /// The network lost its connection, which nobody has ended.
+    is_cut: Arc<AtomicBool>,
 }
 
 #[derive(Clone, Debug)]
@@ -56,17 +59,22 @@ impl Peer {
                 None
             }
         };
-        Ok(Peer { from: From::Address(addr), uid, holder: None })
+        Ok(Peer { from: From::Address(addr), uid, holder: None, is_cut: Arc::default() })
     }
 
     pub(super) fn of_unix(stream: &UnixStream) -> Peer {
         let known = stream.peer_cred().inspect_err(|e| log::debug!("who calls cannot be told: {e}")).ok();
         let pid = known.as_ref().and_then(tokio::net::unix::UCred::pid);
-        Peer { from: From::Socket { pid }, uid: known.map(|known| known.uid()), holder: None }
+        Peer {
+            from: From::Socket { pid },
+            uid: known.map(|known| known.uid()),
+            holder: None,
+            is_cut: Arc::default(),
+        }
     }
 
     pub(super) fn of_holder(holder: Arc<Holder>, addr: SocketAddr) -> Peer {
-        Peer { from: From::Address(addr), uid: None, holder: Some(holder) }
+        Peer { from: From::Address(addr), uid: None, holder: Some(holder), is_cut: Arc::default() }
     }
 
     /// The holder of the certificate that it has shown, if it was asked for one.
@@ -77,6 +85,24 @@ impl Peer {
     /// The user of its program, as the kernel has it.
     pub(super) fn user(&self) -> Option<u32> {
         self.uid
+    }
+
+    /// Notes why its connection ended: of one that it has ended itself, the kernel of its machine says so.
+    pub(super) fn note_end(&self, e: &io::Error) {
+        let lost = [
+            io::ErrorKind::TimedOut,
+            io::ErrorKind::HostUnreachable,
+            io::ErrorKind::NetworkUnreachable,
+            io::ErrorKind::NetworkDown,
+        ];
+        if lost.contains(&e.kind()) {
+            self.is_cut.store(true, Ordering::Release);
+        }
+    }
+
+    /// Tells whether the network has lost its connection: it may be there all the same.
+    pub(super) fn is_cut(&self) -> bool {
+        self.is_cut.load(Ordering::Acquire)
     }
 
     /// This user's own program, or root's.

@@ -61,6 +61,14 @@ impl Connection {
         Connection { belief: Some(belief), ..self }
     }
 
+    /// Notes how its connection ended, where that is the outcome.
+    fn noted<T>(&self, written: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if let Poll::Ready(Err(e)) = &written {
+            self.peer.note_end(e);
+        }
+        written
+    }
+
     /// # Errors
     /// The caller is not believed any more: nothing is read of it, and nothing told to it.
     fn is_believed(&mut self, cx: &mut Context<'_>) -> io::Result<()> {
@@ -88,6 +96,9 @@ impl AsyncRead for Connection {
             Stream::Unix(stream) => Pin::new(stream).poll_read(cx, buf),
             Stream::Tls(stream) => Pin::new(stream).poll_read(cx, buf),
         };
+        if let Poll::Ready(Err(e)) = &read {
+            this.peer.note_end(e);
+        }
         let Some((head, patience)) = &mut this.silence else { return read };
         if read.is_ready() {
             head.hear(buf.filled().get(before..).unwrap_or_default());
@@ -109,11 +120,12 @@ impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         let this = self.get_mut();
         this.is_believed(cx)?;
-        match &mut this.stream {
+        let written = match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_write(cx, buf),
             Stream::Unix(stream) => pin!(stream).poll_write(cx, buf),
             Stream::Tls(stream) => pin!(stream).poll_write(cx, buf),
-        }
+        };
+        this.noted(written)
     }
 
     fn poll_write_vectored(
@@ -123,11 +135,12 @@ impl AsyncWrite for Connection {
     ) -> Poll<io::Result<usize>> {
         let this = self.get_mut();
         this.is_believed(cx)?;
-        match &mut this.stream {
+        let written = match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_write_vectored(cx, bufs),
             Stream::Unix(stream) => pin!(stream).poll_write_vectored(cx, bufs),
             Stream::Tls(stream) => pin!(stream).poll_write_vectored(cx, bufs),
-        }
+        };
+        this.noted(written)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -141,11 +154,12 @@ impl AsyncWrite for Connection {
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
         this.is_believed(cx)?;
-        match &mut this.stream {
+        let flushed = match &mut this.stream {
             Stream::Tcp(stream) => pin!(stream).poll_flush(cx),
             Stream::Unix(stream) => pin!(stream).poll_flush(cx),
             Stream::Tls(stream) => pin!(stream).poll_flush(cx),
-        }
+        };
+        this.noted(flushed)
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {

@@ -121,6 +121,28 @@ async fn a_process_that_says_hello_again_at_any_moment_of_it_gets_the_rest_and_n
 }
 
 #[tokio::test]
+async fn a_process_that_has_ended_its_session_before_that_is_noticed_gets_the_rest_in_the_next() {
+    let steps = ["Create host/a", "Configure host/a", "Create host/e", "Configure host/e", "Start host/e"];
+    for at in steps.into_iter().chain(WIRES) {
+        let (gcm, lcm, who) = (crashed().await, FakeLcm::new("host"), host());
+        lcm.hold(at);
+        let first = register_with_eye(&gcm, who.clone(), &lcm).await;
+        lcm.hangs(at).await;
+        lcm.lose_at(at);
+        lcm.release(at);
+        // Whatever its refusal leads to has happened by now.
+        for _ in 0..100 {
+            tokio::task::yield_now().await;
+        }
+        gcm.lost(&name("host"), first.session);
+        let again = Registration { slice: slice(&gcm, &lcm), epoch: first.epoch, ..who };
+        register_with_eye(&gcm, again, &lcm).await;
+        until(&gcm, "all is made again", is(ProcessState::Attached)).await;
+        all_is_back(&gcm, &lcm, at);
+    }
+}
+
+#[tokio::test]
 async fn a_process_that_says_hello_again_and_again_gets_everything() {
     let (gcm, lcm, who) = (crashed().await, FakeLcm::new("host"), host());
     let mut before = None;
