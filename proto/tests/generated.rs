@@ -8,13 +8,14 @@ use std::path::PathBuf;
 
 use sha2::{Digest, Sha256};
 
-const FILES: [&str; 8] = [
+const FILES: [&str; 9] = [
     "trocar/v1/types.proto",
     "trocar/v1/gcm.proto",
     "trocar/v1/attach.proto",
     "trocar/v1/interact.proto",
     "trocar/v1/plugin.proto",
     "trocar/v1/guest.proto",
+    "trocar/v1/agent.proto",
     "trocar/journal/v1/journal.proto",
     "etcdserverpb/rpc.proto",
 ];
