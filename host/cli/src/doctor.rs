@@ -29,6 +29,8 @@ fn unit() -> String {
          Description=trocar agent: processes of systems of other machines\n\
          Wants=network-online.target\n\
          After=network-online.target\n\
+         # Its address may come later than it does.\n\
+         StartLimitIntervalSec=0\n\
          \n\
          [Service]\n\
          User={user}\n\
@@ -36,8 +38,8 @@ fn unit() -> String {
          ExecStart={program} agent --listen-tls ADDRESS:50550 --identity FILE\n\
          Restart=always\n\
          RestartSec=1\n\
-         # The agent ends its processes in order, devices safe first; only what is left then is killed.\n\
-         KillMode=mixed\n\
+         # Its processes end by themselves, devices safe first, also where it was killed.\n\
+         KillMode=process\n\
          TimeoutStopSec=30\n\
          LimitRTPRIO=99\n\
          LimitMEMLOCK=infinity\n\

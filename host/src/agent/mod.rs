@@ -119,8 +119,10 @@ impl Agent {
     fn hung_up(&self, kept: Arc<System>, seat: u64) {
         let inner = self.inner.clone();
         tokio::spawn(async move {
-            if kept.has_processes() {
+            if kept.runs() {
                 log::warn!("the caller of {} has hung up", kept.folder().display());
+            }
+            if kept.has_processes() {
                 tokio::time::sleep(RETURN).await;
             }
             let slots: Vec<Slot> = inner.systems.lock().values().cloned().collect();

@@ -90,14 +90,20 @@ impl System {
     }
 
     /// Tells whether a process of it runs, or is to run again.
-    pub(super) fn has_processes(&self) -> bool {
-        let statuses = self.supervisor.statuses();
+    pub(super) fn runs(&self) -> bool {
         let over = |status: &Status| matches!(status.phase, Phase::Ended | Phase::Failed);
-        !statuses.borrow().values().all(over)
+        !self.supervisor.statuses().borrow().values().all(over)
+    }
+
+    /// Tells whether a process of it is known, be it as one that was given up.
+    pub(super) fn has_processes(&self) -> bool {
+        !self.supervisor.statuses().borrow().is_empty()
     }
 
     /// Ends all of its processes. Returns those that did not end in order.
     pub(super) async fn end(&self) -> Vec<(String, Exit)> {
+        // Whoever has a seat orders nothing any more.
+        self.caller.lock().seat += 1;
         let names: Vec<String> = self.supervisor.statuses().borrow().keys().cloned().collect();
         let failed = self.supervisor.end(&names).await;
         for (name, exit) in &failed {

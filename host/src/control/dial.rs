@@ -99,13 +99,13 @@ impl Dialler {
         self.connect(addr, within, true).await
     }
 
-    /// Connects to an agent, whose stream may be silent for long: one that stands still is found out by
-    /// pings.
+    /// Connects to an agent. Without pings: a connection that they ended would tell it that this program has
+    /// hung up.
     ///
     /// # Errors
     /// As [`Dialler::dial`].
     pub(super) async fn dial_agent(&self, addr: &str, within: Duration) -> Result<Tokened, DialError> {
-        self.connect_to(Called::Process, addr, within, true).await
+        self.connect_to(Called::Process, addr, within, false).await
     }
 
     async fn connect(&self, addr: &str, within: Duration, pings: bool) -> Result<Tokened, DialError> {

@@ -5,7 +5,9 @@
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -235,16 +237,24 @@ impl Fleet {
         }
         let mut failed = Vec::new();
         let afar = async {
-            let mut ends: Vec<_> = Vec::new();
+            // All at once: each looks at what runs before it asks.
+            let mut ending: Vec<Ending<'_>> = Vec::new();
             for (machine, names) in &there {
                 let Some(agent) = self.agents.get(machine) else { continue };
-                names.iter().for_each(|name| agent.reach.ask_to_end(name));
-                ends.push((agent, names));
+                ending.push(Box::pin(agent.reach.end(names)));
             }
             let mut failed = Vec::new();
-            for (agent, names) in ends {
-                failed.extend(agent.reach.end(names).await);
-            }
+            std::future::poll_fn(|cx| {
+                ending.retain_mut(|end| match end.as_mut().poll(cx) {
+                    Poll::Ready(of_it) => {
+                        failed.extend(of_it);
+                        false
+                    }
+                    Poll::Pending => true,
+                });
+                if ending.is_empty() { Poll::Ready(()) } else { Poll::Pending }
+            })
+            .await;
             failed
         };
         let (of_here, of_there) = tokio::join!(self.local.end(&here), afar);
@@ -259,6 +269,8 @@ impl Drop for Fleet {
         self.merging.iter().for_each(JoinHandle::abort);
     }
 }
+
+type Ending<'a> = Pin<Box<dyn Future<Output = Vec<(String, Exit)>> + Send + 'a>>;
 
 /// Shows what one keeper says on the board of all.
 async fn merge<T>(

@@ -38,7 +38,7 @@ use super::view::SystemView;
 use super::{check, hosting, logging};
 use trocar::gcm::{Fate, Told};
 use trocar::host::{HostError, StateChoice, StateDir, StopRequest, state_home};
-use trocar::processes::{Door, Phase, Program, Status, keep_short};
+use trocar::processes::{Door, Exit as ProcessExit, Phase, Program, Status, keep_short};
 use trocar::system_file::SystemFile;
 
 /// Time that a whole system may take to come up.
@@ -419,7 +419,14 @@ impl System {
         let mut failed = self.supervisor.end(&names).await;
         self.talking.drain(..).for_each(|task| task.abort());
         if let Some(session) = &self.session {
-            let gone = telling::fates(&self.supervisor.statuses().borrow(), Some(Fate::Dismissed));
+            let mut gone = telling::fates(&self.supervisor.statuses().borrow(), Some(Fate::Dismissed));
+            // What may still run stays listed: a Stop has to be told that.
+            let may_run = |name: &str| {
+                failed.iter().any(|(of, exit)| {
+                    of == name && matches!(exit, ProcessExit::Away(_) | ProcessExit::Stuck(_))
+                })
+            };
+            gone.retain(|told| !may_run(told.process.as_str()));
             if let Err(failure) = session.tell(&gone).await {
                 log::warn!("the GCM still lists the processes: {}", failure.message);
             }

@@ -131,15 +131,14 @@ async fn keep(
             // One that asks and hangs up is told all the same.
             biased;
             place = out.reserve(), if is_news => {
-                let Ok(place) = place else { return };
+                let Ok(place) = place else { return left(seat, peer.as_ref()) };
                 let folder = seat.folder().to_string_lossy().into_owned();
                 place.send(Ok(v1::KeepResponse { folder, statuses: statuses_out(&following.now()) }));
                 is_news = false;
             }
             said = inbound.next() => {
                 let Some(Ok(v1::KeepRequest { message: Some(message) })) = said else {
-                    // A network that gave up has not hung up for the caller.
-                    return if peer.is_some_and(|peer| peer.is_cut()) { seat.stays() };
+                    return left(seat, peer.as_ref());
                 };
                 if !seat.beat() {
                     return;
@@ -155,6 +154,13 @@ async fn keep(
             // Its sender carries no value: it only goes.
             _ = open.changed() => return,
         }
+    }
+}
+
+/// Leaves a seat whose connection has ended: a network that gave up has not hung up for the caller.
+fn left(seat: Seat, peer: Option<&Peer>) {
+    if peer.is_some_and(Peer::is_cut) {
+        seat.stays();
     }
 }
 

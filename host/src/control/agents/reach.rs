@@ -251,9 +251,12 @@ type Brought = (String, Result<Wanted, String>);
 
 impl Keeping {
     async fn go_on(mut self) {
+        // A connection that says nothing is not ended before there is another: its end would tell the agent
+        // that this program has hung up.
+        let mut last = None;
         loop {
             let why = match self.way.open().await {
-                Ok(open) => self.follow(open).await,
+                Ok(open) => self.follow(last.insert(open)).await,
                 Err(why) => why,
             };
             log::debug!("the agent at {}: {why}", self.way.addr);
@@ -314,7 +317,7 @@ impl Keeping {
     }
 
     /// Follows an agent until it is not heard any more; returns why.
-    async fn follow(&mut self, mut open: Open) -> String {
+    async fn follow(&mut self, open: &mut Open) -> String {
         let mut bringing: JoinSet<Brought> = JoinSet::new();
         let mut beats = tokio::time::interval(BEAT);
         let mut is_first = true;
@@ -327,7 +330,7 @@ impl Keeping {
                         silence.as_mut().reset(tokio::time::Instant::now() + SILENCE);
                         self.hear(told, is_first);
                         if std::mem::take(&mut is_first) {
-                            self.tell_all(&open, &mut bringing);
+                            self.tell_all(open, &mut bringing);
                         }
                         true
                     }
@@ -339,14 +342,14 @@ impl Keeping {
                     Some(Ask::Start(process)) => {
                         let name = process.spec.name.to_string();
                         self.take(Ask::Start(process));
-                        self.bring(&name, &open, &mut bringing);
+                        self.bring(&name, open, &mut bringing);
                         true
                     }
                     Some(ask) => self.take(ask).is_none_or(|message| open.order(message)),
                     None => return "nobody wants it any more".into(),
                 },
                 Some(brought) = bringing.join_next() => match brought {
-                    Ok((name, brought)) => self.brought(&name, brought, &open),
+                    Ok((name, brought)) => self.brought(&name, brought, open),
                     Err(e) => return e.to_string(),
                 },
                 _ = beats.tick() => open.order(Message::Beat(v1::KeepBeat {})),
@@ -429,7 +432,15 @@ async fn brought(process: ToKeep, mut client: AgentServiceClient<Tokened>) -> Re
     let ToKeep { spec, plugins, hashes, gcm, rules } = process;
     let read = tokio::task::spawn_blocking(move || {
         let hashes = hashes.map(|file| std::fs::read_to_string(&file).map_err(|e| unread(&file, &e)));
-        Ok::<_, String>((files_of(&plugins)?, hashes.transpose()?.unwrap_or_default()))
+        let (files, hashes) = (files_of(&plugins)?, hashes.transpose()?);
+        // Nothing would stand for what the agent's machine has, and for trust in every file.
+        if files.is_empty() && !plugins.is_empty() {
+            return Err(format!("no plugin file is in {}", shown(&plugins)));
+        }
+        if hashes.as_ref().is_some_and(|text| text.trim().is_empty()) {
+            return Err("the list of hashes of the plugin files that it takes is empty".to_owned());
+        }
+        Ok::<_, String>((files, hashes.unwrap_or_default()))
     });
     let (files, hashes) = read.await.map_err(|e| e.to_string())??;
     let sha256 = files.iter().map(|(_, file)| file.hash.to_string()).collect();
@@ -482,6 +493,11 @@ fn parts_of(path: &Path, sha256: &str, send: &mpsc::Sender<v1::BringRequest>) ->
             return Ok(());
         }
     }
+}
+
+fn shown(dirs: &[PathBuf]) -> String {
+    let dirs: Vec<String> = dirs.iter().map(|dir| dir.display().to_string()).collect();
+    dirs.join(", ")
 }
 
 fn unread(path: &Path, e: &io::Error) -> String {

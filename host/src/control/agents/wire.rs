@@ -60,6 +60,11 @@ pub(super) fn wanted_in(wanted: v1::AgentProcess) -> Result<Wanted, Refusal> {
     if let Some((key, _)) = wanted.env.iter().find(|variable| wrong(*variable)) {
         return Err(invalid("env", format!("{key:?} is no variable of an environment")));
     }
+    let state = std::path::Path::new(&wanted.state);
+    if !state.components().all(|part| matches!(part, std::path::Component::Normal(_))) {
+        let why = format!("{:?} leads out of the folder of the system", wanted.state);
+        return Err(invalid("state", why));
+    }
     let restart = policy_in(wanted.restart.unwrap_or_default()).map_err(|why| invalid("restart", why))?;
     let spec = ProcessSpec {
         listen: some(wanted.listen),
@@ -239,6 +244,8 @@ mod tests {
             (v1::AgentProcess { env: [("A=B".into(), "1".into())].into(), ..good.clone() }, "A=B"),
             (v1::AgentProcess { env: [("A".into(), "\0".into())].into(), ..good.clone() }, "variable"),
             (v1::AgentProcess { restart, ..good.clone() }, "backoff"),
+            (v1::AgentProcess { state: "/tmp".into(), ..good.clone() }, "leads out"),
+            (v1::AgentProcess { state: "a/../../files".into(), ..good.clone() }, "leads out"),
         ] {
             let refusal = wanted_in(wrong).unwrap_err().to_string();
             assert!(refusal.contains(named), "{named}: {refusal}");
